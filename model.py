@@ -1,0 +1,122 @@
+"""The network of Fig. 1 and Fig. 2: a CNN, a stacked LSTM, a Gaussian policy and a value.
+
+It maps what the robot has seen so far to a distribution over actions, Eq. (1), in the action units
+of the task: linear velocity in [0, 1], angular in [-1, 1].
+
+Axis letters: M episodes, T steps, B = real (not padded) steps, H = 48, W = 64. While the robot drives
+T = 1 and M is the number of robots.
+"""
+
+import torch
+from torch import nn
+from torch.distributions import Normal
+
+MEMORIES = ("stacked", "single", "none")
+HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
+FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
+REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
+INITIAL_STD = (0.25, 0.5)  # a quarter of the linear and half of the angular maximum, our choice
+
+
+def orthogonal(layer, gain=1.0):
+    """The layer with orthogonal weights and zero biases, our choice."""
+    for name, parameter in layer.named_parameters():
+        if "weight" in name:
+            nn.init.orthogonal_(parameter, gain)
+        else:
+            nn.init.zeros_(parameter)
+    return layer
+
+
+class Memory(nn.Module):
+    """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything."""
+
+    def __init__(self, inputs, recurrent):
+        super().__init__()
+        self.recurrent = recurrent
+        layer = nn.LSTM(inputs, HIDDEN, batch_first=True) if recurrent else nn.Linear(inputs, HIDDEN)
+        self.layer = orthogonal(layer)
+
+    def forward(self, x, state):
+        """(M, T, inputs), state (M, 2, HIDDEN) -> (M, T, HIDDEN), state."""
+        if not self.recurrent:
+            return torch.relu(self.layer(x)), state
+        h, c = state.transpose(0, 1).unsqueeze(1).contiguous()  # (1, M, HIDDEN) each
+        y, (h, c) = self.layer(x, (h, c))
+        return y, torch.cat([h, c]).transpose(0, 1)
+
+
+class Network(nn.Module):
+    """Policy and value. `memory` is the paper's stacked LSTM or one of its ablations: in `single`
+    all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
+
+    def __init__(self, memory="stacked", command_scale=(0.3, 1.0)):
+        """command_scale: maximum linear [m/s] and angular [rad/s] velocity."""
+        super().__init__()
+        if memory not in MEMORIES:
+            raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
+        self.memory = memory
+        # 'Same' padding of strided layers, which torch lacks; kernels are (height, width).
+        relu = 2 ** 0.5
+        self.cnn = nn.Sequential(
+            nn.ZeroPad2d((2, 2, 1, 1)), orthogonal(nn.Conv2d(3, 32, (6, 8), 4), relu), nn.ReLU(),
+            nn.ZeroPad2d((1, 1, 0, 1)), orthogonal(nn.Conv2d(32, 64, (3, 4), 2), relu), nn.ReLU(),
+            nn.MaxPool2d(2),
+            nn.ZeroPad2d((0, 0, 0, 1)), orthogonal(nn.Conv2d(64, 64, 2, 2), relu), nn.ReLU(),
+            nn.Flatten(), orthogonal(nn.Linear(256, FEATURES), relu), nn.ReLU())
+        self.cnn.to(memory_format=torch.channels_last)
+        first = FEATURES + 2 + (3 if memory == "single" else 0)
+        self.memories = nn.ModuleList([Memory(first, memory != "none")])
+        if memory != "single":
+            self.memories.append(Memory(HIDDEN + 3, memory != "none"))
+        self.dense = orthogonal(nn.Linear(HIDDEN, HIDDEN), relu)
+        self.action = orthogonal(nn.Linear(HIDDEN, 2), 0.01)
+        self.value = orthogonal(nn.Linear(HIDDEN, 1))
+        self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
+        self.register_buffer("command_scale", torch.tensor(command_scale))
+
+    def initial_state(self, M):
+        """The memory (M, layers, 2, HIDDEN) before an episode's first step: zeros."""
+        return torch.zeros(M, len(self.memories), 2, HIDDEN, device=self.log_std.device)
+
+    def see(self, images):
+        """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
+        return self.cnn(images.permute(0, 3, 1, 2).float() / 255)  # channels-last in memory already
+
+    @torch.no_grad()
+    def act(self, observations, state, generator=None):
+        """One step of M robots: what the environment shows (M, ...), as arrays, and the memory ->
+        mean actions (M, 2), sampled actions (M, 2), the samples' log-probabilities (M,), values (M,),
+        memory. A sample may lie outside the actions' bounds: the environment clips it, but the
+        log-probability is that of the sample itself.
+        """
+        observations = {key: torch.as_tensor(value)[:, None] for key, value in observations.items()}
+        distribution, values, state = self(observations, state)
+        mean, std = distribution.mean[:, 0], distribution.stddev[:, 0]
+        actions = torch.normal(mean, std, generator=generator)
+        log_probs = Normal(mean, std).log_prob(actions).sum(-1)
+        return mean, actions, log_probs, values[:, 0], state
+
+    def forward(self, observations, state, mask=None):
+        """Observations (M, T, ...) and the memory before them -> distribution of actions (M, T, 2),
+        values (M, T), memory after them. Where the mask (M, T) is given and false, steps are
+        padding, and no convolution is spent on them.
+        """
+        image = observations["image"]
+        real = torch.ones(image.shape[:2], dtype=torch.bool) if mask is None else mask
+        features = torch.zeros(*image.shape[:2], FEATURES, device=image.device)
+        features[real] = self.see(image[real])  # (M, T, FEATURES)
+        target = observations["target"] / torch.tensor([1.0, torch.pi])
+        last = torch.cat([observations["velocity"] / self.command_scale,
+                          observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
+        x, states = torch.cat([features, target], -1), []
+        if self.memory == "single":
+            x = torch.cat([x, last], -1)
+        for k, memory in enumerate(self.memories):
+            x = torch.cat([x, last], -1) if k == 1 else x
+            x, after = memory(x, state[:, k])
+            states.append(after)
+        x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
+        linear, angular = self.action(x).unbind(-1)
+        mean = torch.stack([torch.sigmoid(linear), torch.tanh(angular)], -1)
+        return Normal(mean, self.log_std.exp()), self.value(x)[..., 0], torch.stack(states, 1)

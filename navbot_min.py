@@ -1,0 +1,316 @@
+"""The task: what the robot sees, may do, is paid, and when an episode ends (paper III).
+
+`NavVecEnv` runs R robots at once and is the thing itself; `NavEnv` is one robot. Both are Gymnasium
+environments. `python navbot_min.py --env env1` drives one robot by a simple rule and draws it.
+
+Axis letters: R robots, H = 48 and W = 64 image rows and columns.
+"""
+
+import argparse
+from difflib import get_close_matches
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box, Dict
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from render import Camera, H, W, draw_map
+from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
+                 ROBOT_RADIUS, SCENE_FOLDER, Scene, SceneError, World, load_scene, wrap_angle)
+
+ARRIVAL_REWARD, COLLISION_REWARD = 100.0, -50.0  # released config
+PROGRESS_REWARD, STEP_COST = 100.0, 0.05  # c_r [1/m] and c_p of Eq. (4), released config
+MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script allows 1000
+MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad/s]
+OUTCOMES = ("arrival", "collision", "timeout")
+
+
+def polar_targets(poses, targets):
+    """Distance [m] and bearing [rad] in (-pi, pi], (R, 2), of targets (R, 2) from poses (R, 3)."""
+    dx, dy = (targets - poses[:, :2]).T
+    return np.stack([np.hypot(dx, dy), wrap_angle(np.arctan2(dy, dx) - poses[:, 2])], -1)
+
+
+def rewards(before, after, arrived, hit):
+    """Eq. (4): rewards (R,) for distances before and after [m]; arrival wins over collision."""
+    progress = PROGRESS_REWARD * (before - after) - STEP_COST
+    return np.where(arrived, ARRIVAL_REWARD, np.where(hit, COLLISION_REWARD, progress))
+
+
+class NavVecEnv(VectorEnv):
+    """R robots, each on its own way to a target; one that ends its episode starts the next at once.
+
+    An observation is a dict of `image` (R, H, W, 3) uint8 RGB, `target` (R, 2) distance [m] and
+    bearing [rad], `velocity` (R, 2) the last command as executed [m/s, rad/s], and `reward` (R, 1)
+    the last reward; the last two are 0 at an episode's start. An action (R, 2) holds the linear
+    velocity in [0, 1] and the angular in [-1, 1] as fractions of their maxima, and is clipped.
+
+    Arrival and collision terminate an episode, the step limit truncates it. Autoreset is same-step.
+    `infos["pose"]` (R, 3) are the poses that the step led to. At an episode's end
+    `infos["final_obs"][r]` is the episode's last observation and `infos["final_info"]` holds
+    its `outcome`, `return`, `length`, `target` (index into the scene's targets) and `new`.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    render_mode = None
+
+    def __init__(self, num_envs=32, env="env1", targets="both", max_episode_steps=MAX_EPISODE_STEPS):
+        """env: a scene's name, path or Scene, or a list of these that robots take in turn.
+        targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
+        or (R,) indices into `scene.targets`, one for each robot.
+        Raises ValueError for any of these that is not valid.
+        """
+        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            if not isinstance(value, (int, np.integer)) or value < 1:
+                raise ValueError(f"{name} is {value!r}, it must be a whole number from 1 up")
+        envs = env if isinstance(env, (list, tuple)) else [env]
+        rooms = [room if isinstance(room, Scene) else load_scene(room) for room in envs]
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.room = np.arange(num_envs) % len(rooms)
+        self.world = World([rooms[k] for k in self.room])
+        self.camera = Camera(rooms)
+        self._choices = self._target_choices(targets)
+        widest = max(np.hypot(*np.ptp(room.bounds, axis=0)) for room in rooms)
+        most = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
+        self.single_observation_space = Dict({
+            "image": Box(0, 255, (H, W, 3), np.uint8),
+            "target": Box(np.float32([0, -np.pi]), np.float32([widest, np.pi])),
+            "velocity": Box(np.float32(MAX_COMMAND * (0, -1)), np.float32(MAX_COMMAND)),
+            "reward": Box(np.float32(-most), np.float32(most), (1,))})
+        self.single_action_space = Box(np.float32([0, -1]), np.float32([1, 1]))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._steps = None  # (R,) steps of the episodes under way; None before the first reset
+
+    def _target_choices(self, targets):
+        """The target indices, one array a robot, that its episodes draw from."""
+        scenes = self.world.scenes
+        if isinstance(targets, str):
+            spans = {"training": lambda s: (0, len(s.training_targets)),
+                     "new": lambda s: (len(s.training_targets), len(s.targets)),
+                     "both": lambda s: (0, len(s.targets))}
+            if targets not in spans:
+                raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(spans)}, "
+                                 "or an index for each robot")
+            return [np.arange(*spans[targets](scene)) for scene in scenes]
+        targets = np.asarray(targets)
+        if targets.shape != (self.num_envs,) or not all(
+                0 <= k < len(scene.targets) for k, scene in zip(targets, scenes)):
+            raise ValueError(f"targets is {targets}, it must hold an index into its scene's targets "
+                             f"for each of the {self.num_envs} robots")
+        return [np.array([k]) for k in targets]
+
+    def reset(self, *, seed=None, options=None):
+        """Starts every robot's episode; `seed` starts the random generator anew."""
+        super().reset(seed=seed)
+        R = self.num_envs
+        self._target, self._targets = np.zeros(R, int), np.zeros((R, 2))
+        self._steps, self._return = np.zeros(R, int), np.zeros(R)
+        self._observations = {"image": np.empty((R, H, W, 3), np.uint8),
+                              "target": np.zeros((R, 2), np.float32),
+                              "velocity": np.zeros((R, 2), np.float32),
+                              "reward": np.zeros((R, 1), np.float32)}
+        self._begin(np.arange(R))
+        return self._copy(), {"pose": self.world.poses}
+
+    def _begin(self, robots):
+        """Starts a new episode for those robots (n,) indices."""
+        scenes = [self.world.scenes[r] for r in robots]
+        self._target[robots] = [self.np_random.choice(self._choices[r]) for r in robots]
+        self._targets[robots] = [scene.targets[k] for scene, k in zip(scenes, self._target[robots])]
+        self._steps[robots], self._return[robots] = 0, 0
+        self.world.place(robots, np.array([scene.start for scene in scenes]))
+        self._observe(robots, velocity=0, reward=0)
+
+    def _observe(self, robots, velocity, reward):
+        poses, targets = self.world.poses[robots], self._targets[robots]
+        seen = self._observations
+        seen["image"][robots] = self.camera.render(self.room[robots], poses, targets)
+        seen["target"][robots] = polar_targets(poses, targets)
+        seen["velocity"][robots] = velocity
+        seen["reward"][robots, 0] = reward
+
+    def _copy(self):
+        return {key: value.copy() for key, value in self._observations.items()}
+
+    def _command(self, actions):
+        """Commands (R, 2) [m/s, rad/s] from actions. Raises ValueError, ResetNeeded."""
+        if self._steps is None:
+            raise ResetNeeded("step() was called before reset()")
+        actions = np.asarray(actions, dtype=float)
+        if actions.shape != (self.num_envs, 2):
+            raise ValueError(f"the actions have shape {actions.shape}, it must be "
+                             f"({self.num_envs}, 2): linear in [0, 1], angular in [-1, 1]")
+        if not np.isfinite(actions).all():
+            raise ValueError(f"the action of robot {np.isfinite(actions).all(1).argmin()} is not "
+                             "finite: linear must be in [0, 1], angular in [-1, 1]")
+        return actions.clip([0, -1], [1, 1]) * MAX_COMMAND
+
+    def step(self, actions):
+        """Drives all robots for one control period with actions (R, 2)."""
+        command = self._command(actions)
+        before = polar_targets(self.world.poses, self._targets)[:, 0]
+        hit = self.world.drive(command)
+        poses = self.world.poses
+        after = polar_targets(poses, self._targets)[:, 0]
+        arrived = after < ARRIVAL_DISTANCE
+        reward = rewards(before, after, arrived, hit)
+        self._steps += 1
+        self._return += reward
+        terminated = arrived | hit
+        truncated = ~terminated & (self._steps >= self.max_episode_steps)
+        self._observe(np.arange(self.num_envs), command, reward)
+        infos = {"pose": poses} | self._end(terminated | truncated, np.where(arrived, 0, np.where(hit, 1, 2)))
+        return self._copy(), reward, terminated, truncated, infos
+
+    def _end(self, done, outcome):
+        """Reports the episodes that are done (R,) bool and starts the next ones."""
+        robots = np.flatnonzero(done)
+        if not len(robots):
+            return {}
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for r in robots:
+            final_obs[r] = {key: value[r].copy() for key, value in self._observations.items()}
+        training = np.array([len(scene.training_targets) for scene in self.world.scenes])
+        final_info = {"outcome": np.array(OUTCOMES)[outcome], "return": self._return.copy(),
+                      "length": self._steps.copy(), "target": self._target.copy(),
+                      "new": self._target >= training}
+        self._begin(robots)
+        return {"final_obs": final_obs, "_final_obs": done,
+                "final_info": final_info | {f"_{key}": done for key in final_info},
+                "_final_info": done}
+
+
+class NavEnv(gym.Env):
+    """One robot: `NavVecEnv` with R = 1, the robots' axis taken off, and no autoreset."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, env="env1", targets="both", max_episode_steps=MAX_EPISODE_STEPS):
+        self.vector = NavVecEnv(1, env, targets, max_episode_steps)
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+        self._under_way = False
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observations, infos = self.vector.reset(seed=seed)
+        self._under_way = True
+        return {key: value[0] for key, value in observations.items()}, {"pose": infos["pose"][0]}
+
+    def step(self, action):
+        """As in NavVecEnv; `info` holds the episode's `outcome` and so on when it ends."""
+        if not self._under_way:
+            raise ResetNeeded("step() was called before reset(), or after the episode's end")
+        observations, reward, terminated, truncated, infos = self.vector.step(np.asarray(action)[None])
+        observation = {key: value[0] for key, value in observations.items()}
+        info = {"pose": infos["pose"][0]}
+        if terminated[0] or truncated[0]:
+            self._under_way = False
+            observation = infos["final_obs"][0]
+            info |= {key: value[0].item() for key, value in infos["final_info"].items()
+                     if not key.startswith("_")}
+        return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+
+for _path in sorted(SCENE_FOLDER.glob("*.toml")):
+    gym.register(f"NavBot-{_path.stem}-v0", entry_point=NavEnv, vector_entry_point=NavVecEnv,
+                 kwargs={"env": _path.stem})
+
+
+class CommandLine(argparse.ArgumentParser):
+    """argparse whose errors are one sentence and exit code 2, and that guesses no flags."""
+
+    def __init__(self, description):
+        super().__init__(description=description, allow_abbrev=False,
+                         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+
+    def error(self, message):
+        self.exit(2, f"error: {message}\n")
+
+    def parse(self, argv=None):
+        known, unknown = self.parse_known_args(argv)
+        if unknown:
+            flags = [flag for action in self._actions for flag in action.option_strings]
+            near = get_close_matches(unknown[0], flags, 1)
+            self.error(f"unknown argument '{unknown[0]}'"
+                       + (f", did you mean {near[0]}?" if near else f", known: {', '.join(flags)}"))
+        return known
+
+
+def turn_to_target(observation):
+    """The demo's rule, (2,) action: turn to the target, drive when it is ahead. Blind to walls."""
+    bearing = observation["target"][1]
+    return np.array([max(0.0, np.cos(bearing)), np.clip(2 * bearing, -1, 1)])
+
+
+def drive_episode(env, seed):
+    """One episode of `turn_to_target`: its poses (T + 1, 3), images (T + 1, H, W, 3), last info."""
+    observation, info = env.reset(seed=seed)
+    poses, images, over = [info["pose"]], [observation["image"]], False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(turn_to_target(observation))
+        over = terminated or truncated
+        poses.append(info["pose"])
+        images.append(observation["image"])
+    return np.array(poses), np.array(images), info
+
+
+def draw_demo(scene, episodes, path):
+    """The map with every episode's path, beside eight frames of the last episode, as one PNG."""
+    colours = dict(zip(OUTCOMES, ("#12913a", "#d62728", "#e08a00")))
+    figure = Figure(figsize=(13, 5), layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))
+    axes = left.subplots()
+    draw_map(axes, scene)
+    for poses, _, info in episodes:
+        axes.plot(*poses[:, :2].T, color=colours[info["outcome"]], lw=2)
+    for outcome in dict.fromkeys(info["outcome"] for _, _, info in episodes):
+        axes.plot([], [], color=colours[outcome], lw=2, label=outcome)
+    x, y, theta = scene.start
+    axes.add_patch(Circle((x, y), ROBOT_RADIUS, color="#333333"))
+    axes.plot([x, x + ROBOT_RADIUS * np.cos(theta)], [y, y + ROBOT_RADIUS * np.sin(theta)], "w", lw=2)
+    axes.legend(loc="lower right", framealpha=1)
+    axes.set_title(f"{scene.name} from above: blue training targets, green new ones")
+    images = episodes[-1][1]
+    for panel, t in zip(right.subplots(2, 4).flat, np.linspace(0, len(images) - 1, 8).round()):
+        panel.imshow(images[int(t)])
+        panel.set_title(f"t = {t * CONTROL_PERIOD:.1f} s", fontsize=10)
+        panel.axis("off")
+    right.suptitle("what the camera saw in the last episode")
+    figure.savefig(path, dpi=110)
+
+
+def main(argv=None):
+    """The command line: a demonstration of the world that needs no torch."""
+    parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
+    parser.add_argument("--env", default="env1", help="a scene's name, or a path to a scene file")
+    parser.add_argument("--episodes", type=int, default=6, help="episodes to drive, from 1 up")
+    parser.add_argument("--seed", type=int, default=0, help="of the targets that are drawn")
+    parser.add_argument("--out", default="demo.png", help="where the picture is written")
+    options = parser.parse(argv)
+    if options.episodes < 1 or options.seed < 0:
+        parser.error("--episodes must be from 1 up and --seed from 0 up, given were "
+                     f"{options.episodes} and {options.seed}")
+    try:
+        env = NavEnv(options.env)
+        scene, episodes = env.vector.world.scenes[0], []
+        for k in range(options.episodes):
+            episodes.append(drive_episode(env, options.seed if k == 0 else None))
+            info = episodes[-1][2]
+            x, y = scene.targets[info["target"]]
+            print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target ({x}, {y}): "
+                  f"{info['outcome']} after {info['length'] * CONTROL_PERIOD:.1f} s, "
+                  f"return {info['return']:.1f}")
+        draw_demo(scene, episodes, options.out)
+    except (SceneError, OSError) as error:
+        parser.error(error)
+    print(f"wrote {options.out}: the map with the paths, and what the camera saw")
+
+
+if __name__ == "__main__":
+    main()

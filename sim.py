@@ -1,0 +1,301 @@
+"""The world: rooms described as data, and many robots driving in one pymunk space.
+
+Frames and units: SI, ROS axes (x forward, y left, heading counter-clockwise), radians in (-pi, pi].
+A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room, P points.
+"""
+
+import math
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pymunk
+from pymunk import batch
+
+ROBOT_RADIUS = 0.178  # [m] a Kobuki's disc, released model
+CAMERA_HEIGHT = 0.281  # [m] above the floor, released model
+MAX_LINEAR_VELOCITY = 0.3  # [m/s] paper III-C; the slowest is 0, the robot never reverses
+MAX_ANGULAR_VELOCITY = 1.0  # [rad/s] paper III-C, both ways
+ARRIVAL_DISTANCE = 0.177  # [m] robot centre to target, released config
+CONTROL_PERIOD = 0.4  # [s] one command, our choice
+SUBSTEPS = 4  # physics steps of one command
+ROBOTS_PER_COPY = 32  # pymunk pairs all robots that overlap, so a crowd gets rooms of its own
+MATERIALS = ("wall", "brick", "wood")
+SCENE_FOLDER = Path(__file__).parent / "scenes"
+
+_ROBOTS = pymunk.ShapeFilter(group=1)  # shapes of one group neither touch nor see each other
+_ROBOT_TYPE, _WALL_TYPE = 1, 2
+_ROW = (batch.BodyFields.POSITION | batch.BodyFields.ANGLE  # x, y, theta, vx, vy, omega
+        | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY)
+
+
+class SceneError(ValueError):
+    """A scene that cannot be used; the message names the file and the item."""
+
+
+def wrap_angle(angle):
+    """The same direction [rad] in (-pi, pi]."""
+    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box on the floor: centre, yaw, size along its own x and y, height [m, rad]."""
+    material: str
+    x: float
+    y: float
+    yaw: float
+    length: float
+    thickness: float
+    height: float
+
+    @property
+    def corners(self):
+        """(4, 2) corners [m], counter-clockwise."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        half = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (self.length / 2, self.thickness / 2)
+        return half @ np.array([(c, s), (-s, c)]) + (self.x, self.y)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A closed room: boxes, start pose, training targets, new (test-only) targets, in metres."""
+    name: str
+    boxes: tuple[Box, ...]
+    start: tuple[float, float, float]
+    training_targets: tuple[tuple[float, float], ...]
+    new_targets: tuple[tuple[float, float], ...]
+
+    @cached_property
+    def targets(self):
+        """(P, 2) all targets [m]: the training ones, then the new ones."""
+        return np.array(self.training_targets + self.new_targets)
+
+    @cached_property
+    def bounds(self):
+        """(2, 2) lowest and highest (x, y) [m] of any box."""
+        corners = np.concatenate([box.corners for box in self.boxes])
+        return np.stack([corners.min(0), corners.max(0)])
+
+    def clearance(self, points):
+        """Distance [m] from each of the (..., 2) points to the nearest box, negative inside one."""
+        nearest = np.full(np.shape(points)[:-1], np.inf)
+        for box in self.boxes:
+            c, s = math.cos(box.yaw), math.sin(box.yaw)
+            own = (np.asarray(points) - (box.x, box.y)) @ np.array([(c, -s), (s, c)])
+            beyond = np.abs(own) - (box.length / 2, box.thickness / 2)
+            outside = np.hypot(*np.maximum(beyond, 0).T).T
+            nearest = np.minimum(nearest, outside + np.minimum(beyond.max(-1), 0))
+        return nearest
+
+    def reachable(self, cell=0.025):
+        """Centres (P, 2) [m] of the grid cells that the robot's disc can drive to from the start.
+
+        A flood fill, so passages less than a cell wider than the robot may count as closed.
+        Raises SceneError when the flood runs out of the room.
+        """
+        low, high = self.bounds
+        x, y = (np.arange(a - cell, b + 2 * cell, cell) for a, b in zip(low, high))
+        grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
+        free = self.clearance(grid) > ROBOT_RADIUS
+        flood = free & (np.abs(grid - self.start[:2]).max(-1) <= cell)
+        size = 0
+        while flood.sum() > size:
+            size = flood.sum()
+            grown = flood.copy()
+            for axis in (0, 1):
+                for step in (-1, 1):
+                    grown |= np.roll(flood, step, axis)
+            flood = grown & free
+        if flood[[0, -1]].any() or flood[:, [0, -1]].any():
+            raise SceneError("the room is not closed: the robot can drive out of it")
+        return grid[flood]
+
+    def as_dict(self):
+        """Plain numbers, strings and lists, as a scene file holds them; `parse_scene` reads it."""
+        return {key: value for key, value in asdict(self).items() if key != "name"}
+
+
+def _number(value, what, low=-math.inf):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise SceneError(f"{what} is {value!r}, it must be a finite number")
+    if value <= low:
+        raise SceneError(f"{what} is {value!r}, it must be above {low}")
+    return float(value)
+
+
+def _numbers(value, count, what):
+    if not isinstance(value, (list, tuple)) or len(value) != count:
+        raise SceneError(f"{what} is {value!r}, it must be a list of {count} numbers")
+    return tuple(_number(item, f"{what}[{k}]") for k, item in enumerate(value))
+
+
+def _keys(table, required, optional, what):
+    if not isinstance(table, dict):
+        raise SceneError(f"{what} is {table!r}, it must be a table")
+    for key in required:
+        if key not in table:
+            raise SceneError(f"{what} has no '{key}'")
+    for key in table:
+        if key not in required and key not in optional:
+            raise SceneError(f"{what} has an unknown key '{key}'; known: "
+                             + ", ".join([*required, *optional]))
+
+
+def _parse_box(table, offset, what):
+    _keys(table, [field.name for field in fields(Box)], [], what)
+    if table["material"] not in MATERIALS:
+        raise SceneError(f"{what}.material is {table['material']!r}, it must be one of "
+                         + ", ".join(MATERIALS))
+    lows = {"length": 0, "thickness": 0, "height": CAMERA_HEIGHT}  # no top of a box is ever seen
+    box = {field.name: _number(table[field.name], f"{what}.{field.name}",
+                               lows.get(field.name, -math.inf)) for field in fields(Box)[1:]}
+    return Box(table["material"], **box | {"x": box["x"] + offset[0], "y": box["y"] + offset[1]})
+
+
+def parse_scene(table, name):
+    """The scene that a dict describes. Raises SceneError for anything a robot could not be run in."""
+    lists = ("boxes", "training_targets", "new_targets")
+    _keys(table, ["start", *lists], ["offset"], "the scene")
+    for key in lists:
+        if not isinstance(table[key], (list, tuple)) or len(table[key]) == 0:
+            raise SceneError(f"{key} is {table[key]!r}, it must be a list with at least one entry")
+    offset = _numbers(table.get("offset", (0, 0)), 2, "offset")
+    boxes = tuple(_parse_box(box, offset, f"boxes[{k}]") for k, box in enumerate(table["boxes"]))
+    start = _numbers(table["start"], 3, "start")
+    training, new = (tuple(_numbers(target, 2, f"{key}[{k}]") for k, target in enumerate(table[key]))
+                     for key in lists[1:])
+    scene = Scene(name, boxes, start, training, new)
+    if scene.clearance(start[:2]) <= ROBOT_RADIUS:
+        raise SceneError(f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
+    reachable = scene.reachable()
+    for key, targets in zip(lists[1:], (training, new)):
+        for k, target in enumerate(targets):
+            if scene.clearance(target) <= 0:
+                raise SceneError(f"{key}[{k}] {target} is inside a box")
+            if np.hypot(*(reachable - target).T).min(initial=np.inf) >= ARRIVAL_DISTANCE:
+                raise SceneError(f"{key}[{k}] {target} cannot be reached from the start")
+            if key == "new_targets" and target in training:
+                raise SceneError(f"{key}[{k}] {target} is a training target too")
+    return scene
+
+
+def load_scene(env):
+    """The scene of that name in `scenes/`, or of a TOML file's path. Raises SceneError."""
+    path = SCENE_FOLDER / f"{env}.toml"
+    path = path if path.is_file() else Path(env)
+    if not path.is_file():
+        names = ", ".join(sorted(known.stem for known in SCENE_FOLDER.glob("*.toml")))
+        raise SceneError(f"unknown env '{env}': it must be one of {names}, or a path to a scene file")
+    try:
+        return parse_scene(tomllib.loads(path.read_text(encoding="utf-8")), path.stem)
+    except (SceneError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"scene file '{path}': {error}") from None
+
+
+class World:
+    """R robots in one pymunk space; robot r drives in a copy of `scenes[r]`.
+
+    Rooms and copies of rooms lie side by side, at most ROBOTS_PER_COPY robots to a copy. Poses are
+    given and returned in the coordinates of the robot's own room, and are the whole state.
+    """
+
+    def __init__(self, scenes):
+        self.scenes = list(scenes)
+        self.space = pymunk.Space()
+        self.space.on_collision(_ROBOT_TYPE, _WALL_TYPE, pre_solve=self._touch)
+        self._offsets = self._lay_out_rooms()  # (R, 2) own room to space
+        self._touched = []
+        self._index = {}
+        for r in range(len(self.scenes)):
+            body = pymunk.Body(mass=1, moment=1)
+            disc = pymunk.Circle(body, ROBOT_RADIUS)
+            disc.filter, disc.collision_type = _ROBOTS, _ROBOT_TYPE
+            self.space.add(body, disc)
+            self._index[body] = r
+        # One row a body, as pymunk's batch functions move them. The last is the space's static body,
+        # which carries the walls and has to stay at zero.
+        self._rows = np.zeros((len(self.scenes) + 1, 6))
+        self._to_space, self._from_space = batch.Buffer(), batch.Buffer()
+        self._to_space.set_float_buf(self._rows)
+        self.place(slice(None), np.array([scene.start for scene in self.scenes]))
+
+    def _lay_out_rooms(self):
+        rooms = {}
+        for r, scene in enumerate(self.scenes):
+            rooms.setdefault(id(scene), []).append(r)
+        copies = [robots[k:k + ROBOTS_PER_COPY] for robots in rooms.values()
+                  for k in range(0, len(robots), ROBOTS_PER_COPY)]
+        pitch = 1 + np.max([np.ptp(scene.bounds, axis=0) for scene in self.scenes], axis=0)
+        columns = math.ceil(math.sqrt(len(copies)))
+        offsets = np.zeros((len(self.scenes), 2))
+        for k, robots in enumerate(copies):
+            scene = self.scenes[robots[0]]
+            offsets[robots] = offset = pitch * divmod(k, columns) - scene.bounds[0]
+            for box in scene.boxes:
+                wall = pymunk.Poly(self.space.static_body, (box.corners + offset).tolist())
+                wall.collision_type = _WALL_TYPE
+                self.space.add(wall)
+        return offsets
+
+    def _touch(self, arbiter, space, data):
+        arbiter.process_collision = False  # a hit is reported, never bounced
+        self._touched.append(self._index[arbiter.bodies[0]])
+
+    @property
+    def poses(self):
+        """(R, 3) poses, each in its own room."""
+        poses = self._rows[:-1, :3].copy()
+        poses[:, :2] -= self._offsets
+        return poses
+
+    def place(self, robots, poses):
+        """Puts the robots (indices or a slice) at those (n, 3) poses, at rest."""
+        rows = self._rows[:-1]
+        rows[robots, :2] = np.asarray(poses)[:, :2] + self._offsets[robots]
+        rows[robots, 2] = wrap_angle(np.asarray(poses)[:, 2])
+        rows[robots, 3:] = 0
+        batch.set_space_bodies(self.space, _ROW, self._to_space)
+
+    def drive(self, commands):
+        """Drives every robot for CONTROL_PERIOD; returns (R,) bool, which of them hit a wall.
+
+        commands: (R, 2), linear [m/s] and angular [rad/s] velocity. A substep that would end in a
+        wall is not made: the robot stands where it was before it, for the rest of the period.
+        """
+        v, w = np.array(commands, dtype=float).T
+        rows, dt = self._rows[:-1], CONTROL_PERIOD / SUBSTEPS
+        hit = np.zeros(len(rows), dtype=bool)
+        for _ in range(SUBSTEPS):
+            before = rows[:, :3].copy()
+            # An arc's chord points along the heading at half time and is sin(a) / a shorter than
+            # the arc, a = w dt / 2 (numpy's sinc has pi in it), so arcs are exact.
+            chord = v * np.sinc(w * dt / (2 * np.pi))
+            middle = before[:, 2] + w * dt / 2
+            rows[:, 3], rows[:, 4], rows[:, 5] = chord * np.cos(middle), chord * np.sin(middle), w
+            batch.set_space_bodies(self.space, _ROW, self._to_space)
+            self._touched.clear()
+            self.space.step(dt)
+            self._from_space.clear()
+            batch.get_space_bodies(self.space, _ROW, self._from_space)
+            self._rows[:] = np.frombuffer(self._from_space.float_buf()).reshape(-1, 6)
+            if self._touched:
+                rows[self._touched, :3] = before[self._touched]
+                v[self._touched] = w[self._touched] = 0
+                hit[self._touched] = True
+        rows[:, 2] = wrap_angle(rows[:, 2])
+        return hit
+
+    def range_readings(self, angles, max_range):
+        """(R, len(angles)) distances [m] from each robot's centre to the first wall, at most
+        max_range [m], along rays at those angles [rad] from its heading (paper IV-C)."""
+        readings = np.full((len(self.scenes), len(angles)), float(max_range))
+        for r, (x, y, theta) in enumerate(self._rows[:-1, :3]):
+            for k, angle in enumerate(angles):
+                end = (x + max_range * math.cos(theta + angle), y + max_range * math.sin(theta + angle))
+                hit = self.space.segment_query_first((x, y), end, 0, _ROBOTS)
+                if hit:
+                    readings[r, k] *= hit.alpha
+        return readings
