@@ -1,0 +1,94 @@
+"""What a frozen policy can do: fresh episodes, outcomes and intervals."""
+
+import math
+
+import numpy as np
+import torch
+
+from navbot_min import CONTROL_PERIOD, OUTCOMES, NavVecEnv
+
+ROBOTS_PER_TARGET = 32  # at most; they drive side by side
+Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
+
+
+def wilson(successes, n):
+    """The 95 % interval (low, high) of a proportion (Wilson 1927). n = 0 gives (0, 1)."""
+    if n == 0:
+        return 0.0, 1.0
+    p, z2 = successes / n, Z95 ** 2
+    centre, spread = p + z2 / (2 * n), Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
+    return max(0.0, (centre - spread) / (1 + z2 / n)), min(1.0, (centre + spread) / (1 + z2 / n))
+
+
+def rollouts(model, scene, quotas, actions, seed):
+    """Drives `quotas[k]` episodes to target k, for every k; returns their infos, one dict each.
+
+    Which episodes count is fixed before they start, by a quota per robot: counting the first n that
+    finish would favour short collisions. actions: "sampled" or "mean".
+    """
+    targets, quota = [], []
+    for k, n in enumerate(quotas):
+        robots = min(n, ROBOTS_PER_TARGET)
+        targets += [k] * robots
+        quota += [n // robots + (i < n % robots) for i in range(robots)]
+    env, quota = NavVecEnv(len(targets), scene, targets=targets), np.array(quota)
+    generator = torch.Generator().manual_seed(seed)
+    observations, _ = env.reset(seed=seed)
+    state, episodes = model.initial_state(len(targets)), []
+    while quota.any():
+        mean, sampled, _, _, state = model.act(observations, state, generator)
+        chosen = sampled if actions == "sampled" else mean
+        observations, _, terminated, truncated, infos = env.step(chosen.numpy())
+        for r in np.flatnonzero(terminated | truncated):
+            state[r] = 0
+            if quota[r]:
+                quota[r] -= 1
+                episodes.append({key: value[r].item() for key, value in infos["final_info"].items()})
+    return episodes
+
+
+def summarise(episodes):
+    """Outcomes of those episodes as fractions that sum to 1, success with its 95 % interval, and
+    the mean time to arrive [s], None where none arrived. `spl` is not computed yet."""
+    n = len(episodes)
+    counts = {name: sum(e["outcome"] == name for e in episodes) for name in OUTCOMES}
+    low, high = wilson(counts["arrival"], n)
+    times = [e["length"] * CONTROL_PERIOD for e in episodes if e["outcome"] == "arrival"]
+    return {"n": n, "success": counts["arrival"] / n, "low": low, "high": high,
+            "collision": counts["collision"] / n, "timeout": counts["timeout"] / n, "spl": None,
+            "seconds_to_arrive": sum(times) / len(times) if times else None}
+
+
+def evaluate(model, scene, episodes=1000, actions="sampled", seed=0):
+    """Frozen evaluation by the paper's protocol: its fixed start, no learning, fresh episodes.
+
+    episodes: so many of each kind, training and new, split evenly over its targets; with mean
+    actions a fixed start gives one and the same episode each time, so one a target.
+    Returns what `evaluation.json` holds.
+    """
+    counts = [len(scene.training_targets), len(scene.new_targets)]
+    quotas = [max(1, episodes // count + (k < episodes % count))
+              for count in counts for k in range(count)]
+    if actions == "mean":
+        quotas = [1] * len(quotas)
+    done = rollouts(model, scene, quotas, actions, seed)
+    return {"protocol": "paper", "actions": actions,
+            "training": summarise([e for e in done if not e["new"]]),
+            "new": summarise([e for e in done if e["new"]]),
+            "targets": [{"x": float(x), "y": float(y), "kind": "new" if k >= counts[0] else "training",
+                         **summarise([e for e in done if e["target"] == k])}
+                        for k, (x, y) in enumerate(scene.targets)]}
+
+
+def report(result):
+    """The evaluation as lines of text, a target a line."""
+    lines = []
+    for name, row in [(f"all {kind} targets", result[kind]) for kind in ("training", "new")] + [
+            (f"{t['kind']} ({t['x']}, {t['y']})", t) for t in result["targets"]]:
+        time = f"{row['seconds_to_arrive']:.1f} s" if row["seconds_to_arrive"] else "-"
+        lines.append(f"{name:24} success {row['success']:6.1%} [{row['low']:.1%}, {row['high']:.1%}]"
+                     f"  collision {row['collision']:6.1%}  timeout {row['timeout']:6.1%}"
+                     f"  time {time}  n {row['n']}")
+        if "mean_action_arrives" in row:
+            lines[-1] += "  mean action " + ("arrives" if row["mean_action_arrives"] else "fails")
+    return "\n".join(lines)

@@ -1,0 +1,268 @@
+"""Algorithm 1: train on the training targets, record the new ones, stop by the paper's rule.
+
+`python train.py --env env1` trains from scratch, evaluates the frozen policy on fresh episodes and
+leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.png, evaluation.json,
+summary.json.
+"""
+
+import csv
+import json
+import os
+import sys
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from evaluate import evaluate, report
+from model import MEMORIES, REWARD_SCALE, Network
+from navbot_min import CommandLine, NavVecEnv
+from ppo import Collector, update
+from sim import SceneError, load_scene
+
+SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
+WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
+SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
+           "env2": {"training": 500, "new": 100}}
+PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
+
+
+def option(default, text, low=None, high=None, choices=None):
+    """A field of the configuration: its default, what it is, and which values are valid."""
+    return field(default=default, metadata=dict(text=text, low=low, high=high, choices=choices))
+
+
+@dataclass
+class Config:
+    """A training run. The command line is made from these fields."""
+    env: str = option("env1", "a scene's name, or a path to a scene file")
+    seed: int = option(0, "of every random number in the run", 0)
+    steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
+    robots: int = option(32, "R, robots that drive side by side", 1)
+    memory: str = option("stacked", "the network's memory", choices=MEMORIES)
+    episodes_per_update: int = option(64, "N of Algorithm 1", 1)
+    epochs: int = option(4, "K of Algorithm 1", 1)
+    minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
+    learning_rate: float = option(3e-4, "of Adam", 1e-9, 1.0)
+    gamma: float = option(0.99, "discount of a step", 0.0, 1.0)
+    lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
+    clip: float = option(0.2, "epsilon of Eq. (3)", 1e-9, 1.0)
+    value_weight: float = option(0.5, "of the value loss", 0.0, 100.0)
+    entropy_weight: float = option(0.0, "of the entropy bonus", 0.0, 100.0)
+    max_gradient_norm: float = option(0.5, "gradients are scaled down to it", 1e-9, 1e9)
+    evaluation_episodes: int = option(1000, "frozen episodes to targets of each kind", 1)
+    out: str = option("", "run folder, must not exist; by default runs/<env>-seed<k>")
+    json: bool = option(False, "print the summary alone, as JSON, on standard output")
+
+
+def read_config(argv):
+    """The configuration from the command line, checked; and the parser, for later errors."""
+    parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
+    for item in fields(Config):
+        flag, text = f"--{item.name.replace('_', '-')}", item.metadata["text"]
+        if item.type is bool:
+            parser.add_argument(flag, action="store_true", help=text)
+        else:
+            parser.add_argument(flag, type=item.type, default=item.default, help=text,
+                                choices=item.metadata["choices"])
+    config = Config(**vars(parser.parse(argv)))
+    for item in fields(Config):
+        low, high = item.metadata["low"], item.metadata["high"]
+        value, flag = getattr(config, item.name), f"--{item.name.replace('_', '-')}"
+        if low is not None and not low <= value <= (np.inf if high is None else high):
+            valid = f"from {low} up" if high is None else f"from {low} to {high}"
+            parser.error(f"{flag} is {value}, it must be {valid}")
+    if config.out and Path(config.out).exists():
+        parser.error(f"--out '{config.out}' exists already; nothing is overwritten, name a new folder")
+    return config, parser
+
+
+class RunFolder:
+    """The files of one run. Nothing that exists is overwritten, nothing is left half-written."""
+
+    def __init__(self, config, scene):
+        self.path = Path(config.out or f"runs/{scene.name}-seed{config.seed}")
+        base, copy = self.path, 1
+        while True:
+            try:
+                self.path.mkdir(parents=True)
+                break
+            except FileExistsError:
+                if config.out:
+                    raise
+                copy += 1
+                self.path = base.with_name(f"{base.name}-{copy}")
+        self._tables = {}
+        self.write("config.json", json.dumps(asdict(config), indent=2))
+
+    def write(self, name, content):
+        """A whole file: text, or a function that writes to the path it is given."""
+        partial = self.path / f".{name}"
+        content(partial) if callable(content) else partial.write_text(content + "\n")
+        os.replace(partial, self.path / name)
+
+    def add_row(self, name, row):
+        """One more row, a dict, of a CSV table."""
+        if name not in self._tables:
+            self._tables[name] = file = open(self.path / name, "w", newline="", buffering=1)
+            csv.writer(file).writerow(row)
+        csv.writer(self._tables[name]).writerow(row.values())
+
+    def save_model(self, model, scene, steps):
+        """Weights, what rebuilds the network, and the scene; loads with `weights_only=True`."""
+        content = {"weights": model.state_dict(), "memory": model.memory, "steps": steps,
+                   "scene": scene.as_dict(), "scene_name": scene.name}
+        self.write("model.pt", lambda path: torch.save(content, path))
+
+
+class Record:
+    """What happened so far: every episode, and the success rates that Algorithm 1 looks at."""
+
+    def __init__(self, scene):
+        self.scene, self.episodes, self.steps = scene, [], 0
+        self._last = {kind: deque(maxlen=WINDOW) for kind in ("training", "new")}
+
+    def add(self, info):
+        """Adds an episode; returns its row of episodes.csv."""
+        kind = "new" if info["new"] else "training"
+        x, y = self.scene.targets[info["target"]]
+        row = {"steps": self.steps, "target_x": float(x), "target_y": float(y), "kind": kind,
+               "outcome": info["outcome"], "return": round(info["return"], 4),
+               "length": info["length"]}
+        self.episodes.append(row)
+        self._last[kind].append(info["outcome"] == "arrival")
+        return row
+
+    def success(self, kind):
+        """Success rate of the last 100 episodes of that kind; None before the first."""
+        return sum(self._last[kind]) / len(self._last[kind]) if self._last[kind] else None
+
+    def rule_is_met(self):
+        """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
+        return len(self._last["new"]) == WINDOW and self.success("new") > SUCCESS_RATE
+
+
+def draw_curves(episodes, env):
+    """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind."""
+    with open(PAPER_CURVES, newline="") as file:
+        paper = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    panels = figure.subplots(2, 2, sharey="row")
+    for column, (kind, colour) in enumerate((("training", "#1f4fd8"), ("new", "#12913a"))):
+        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
+        rows = [row for row in episodes if row["kind"] == kind]
+        window = SPACING.get(env, {}).get(kind, 100)
+        ends = [*range(window, len(rows), window), len(rows)] if rows else []
+        arrived = [row["outcome"] == "arrival" for row in rows]
+        ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
+                "mean_return": [np.mean([row["return"] for row in rows[(n - 1) // window * window:n]])
+                                for n in ends]}
+        for row, (key, label, scale) in enumerate((
+                ("success_last_100", "success rate, last 100 episodes [%]", 100),
+                ("mean_return", "average reward of an episode", 1))):
+            axes = panels[row, column]
+            axes.plot([float(point["episodes"]) for point in theirs],
+                      [scale * float(point[key]) for point in theirs], color="#b0b0b0",
+                      label="paper (released records)" if theirs else None)
+            axes.plot(ends, ours[key], color=colour, marker="o", ms=3, label="this run")
+            axes.set(xlabel=f"episodes to {kind} targets", ylabel=label if column == 0 else None)
+            axes.grid(alpha=0.3)
+        panels[0, column].axhline(100 * SUCCESS_RATE, color="black", lw=0.8, ls="--")
+        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
+        panels[0, column].legend(loc="lower right")
+    figure.suptitle(f"{env}: this run, and the paper's (dashed: the rate r at which it stops)")
+    return figure
+
+
+def train(config, scene, folder):
+    """Algorithm 1. Returns the model and the summary so far; what happened is in the folder."""
+    torch.manual_seed(config.seed)
+    rng = np.random.default_rng(config.seed)
+    model = Network(config.memory)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5)
+    env = NavVecEnv(config.robots, scene, targets="both")  # line 3: p0 from the set P, training and new targets alike
+    collector = Collector(env, model, REWARD_SCALE, config.seed)
+    record, buffer, start = Record(scene), [], time.perf_counter()
+    bar = tqdm(total=config.steps, unit=" steps", file=sys.stderr, mininterval=0.5)
+    try:
+        while record.steps < config.steps and not record.rule_is_met():
+            record.steps += config.robots
+            bar.update(config.robots)
+            for episode, info in collector.step():
+                folder.add_row("episodes.csv", record.add(info))
+                if not info["new"]:  # what happens on the way to a new target is never learnt from
+                    buffer.append(episode)
+                if record.rule_is_met():
+                    break
+            if len(buffer) >= config.episodes_per_update:  # N of them stored
+                statistics = update(model, optimizer, buffer, config, rng)
+                buffer.clear()
+                speed = round(record.steps / (time.perf_counter() - start), 1)
+                folder.add_row("updates.csv", {"steps": record.steps, **statistics,
+                                               "steps_per_second": speed})
+                show(bar, record)
+    except KeyboardInterrupt:
+        bar.write("interrupted: what was learnt so far is saved", file=sys.stderr)
+    seconds = time.perf_counter() - start
+    show(bar, record)
+    bar.close()
+    return model, record, {
+        "env": scene.name, "seed": config.seed, "steps": record.steps,
+        "episodes": len(record.episodes), "seconds": round(seconds, 2),
+        "stopped_by_rule": record.rule_is_met(), "rolling_new_success": record.success("new"),
+        "frozen": None}
+
+
+def show(bar, record):
+    """Success rates beside the progress bar."""
+    rates = {kind: record.success(kind) for kind in ("training", "new")}
+    bar.set_postfix({f"{kind} targets": "-" if rate is None else f"{rate:.0%}"
+                     for kind, rate in rates.items()})
+
+
+def print_summary(summary, file):
+    """The rolling number that training stopped on and the frozen one, side by side, then targets."""
+    why = "by the paper's rule" if summary["stopped_by_rule"] else "before the paper's rule was met"
+    print(f"stopped {why}: {summary['steps']:,} steps, {summary['episodes']:,} episodes, "
+          f"{summary['seconds']:.0f} s", file=file)
+    rolling, new = summary["rolling_new_success"], summary["frozen"]["new"]
+    rolling = "no episode" if rolling is None else f"{rolling:.0%}"
+    print(f"success on new targets: {rolling} of the last {WINDOW} while training | "
+          f"{new['success']:.1%} [{new['low']:.1%}, {new['high']:.1%}] frozen, "
+          f"{new['n']:,} fresh episodes", file=file)
+    print(report(summary["frozen"]), file=file)
+
+
+def main(argv=None):
+    """The command line: train, save, evaluate the frozen policy, summarise."""
+    config, parser = read_config(argv)
+    try:
+        scene = load_scene(config.env)
+        folder = RunFolder(config, scene)
+    except (SceneError, OSError) as error:
+        parser.error(error)
+    messages = sys.stderr if config.json else sys.stdout
+    print(f"run folder: {folder.path}", file=messages)
+    model, record, summary = train(config, scene, folder)
+    folder.save_model(model, scene, record.steps)
+    folder.write("curves.png", lambda path: draw_curves(record.episodes, scene.name).savefig(
+        path, format="png", dpi=110))
+    folder.write("summary.json", json.dumps(summary, indent=2))
+    print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
+    summary["frozen"] = evaluate(model, scene, config.evaluation_episodes, seed=config.seed)
+    for target, mean in zip(summary["frozen"]["targets"], evaluate(model, scene, actions="mean")["targets"]):
+        target["mean_action_arrives"] = mean["success"] == 1
+    folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
+    folder.write("summary.json", json.dumps(summary, indent=2))
+    print_summary(summary, messages)
+    if config.json:
+        print(json.dumps(summary, indent=2))
+
+
+if __name__ == "__main__":
+    main()
