@@ -1,14 +1,20 @@
-"""What a frozen policy can do: fresh episodes, outcomes and intervals."""
+"""What a frozen policy can do: fresh episodes, outcomes and intervals; and the curves of training."""
 
+import csv
 import math
+from pathlib import Path
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 
 from navbot_min import CONTROL_PERIOD, OUTCOMES, NavVecEnv
 
 ROBOTS_PER_TARGET = 32  # at most; they drive side by side
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
+SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
+           "env2": {"training": 500, "new": 100}}
+PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
 
 
 def wilson(successes, n):
@@ -92,3 +98,38 @@ def report(result):
         if "mean_action_arrives" in row:
             lines[-1] += "  mean action " + ("arrives" if row["mean_action_arrives"] else "fails")
     return "\n".join(lines)
+
+
+def draw_curves(episodes, env, stop_rate):
+    """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind.
+
+    episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. Returns a Figure.
+    """
+    with open(PAPER_CURVES, newline="") as file:
+        paper = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    panels = figure.subplots(2, 2, sharey="row")
+    for column, (kind, colour) in enumerate((("training", "#1f4fd8"), ("new", "#12913a"))):
+        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
+        rows = [row for row in episodes if row["kind"] == kind]
+        window = SPACING.get(env, {}).get(kind, 100)
+        ends = [*range(window, len(rows), window), len(rows)] if rows else []
+        arrived = [row["outcome"] == "arrival" for row in rows]
+        ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
+                "mean_return": [np.mean([row["return"] for row in rows[(n - 1) // window * window:n]])
+                                for n in ends]}
+        for row, (key, label, scale) in enumerate((
+                ("success_last_100", "success rate, last 100 episodes [%]", 100),
+                ("mean_return", "average reward of an episode", 1))):
+            axes = panels[row, column]
+            axes.plot([float(point["episodes"]) for point in theirs],
+                      [scale * float(point[key]) for point in theirs], color="#b0b0b0",
+                      label="paper (released records)" if theirs else None)
+            axes.plot(ends, ours[key], color=colour, marker="o", ms=3, label="this run")
+            axes.set(xlabel=f"episodes to {kind} targets", ylabel=label if column == 0 else None)
+            axes.grid(alpha=0.3)
+        panels[0, column].axhline(100 * stop_rate, color="black", lw=0.8, ls="--")
+        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
+        panels[0, column].legend(loc="lower right")
+    figure.suptitle(f"{env}: this run, and the paper's (dashed: the rate r at which it stops)")
+    return figure

@@ -56,10 +56,11 @@ class Network(nn.Module):
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
         self.memory = memory
-        # 'Same' padding of strided layers, which torch lacks; kernels are (height, width).
+        # 'Same' padding of strided layers, which torch lacks: one-sided where ZeroPad2d says so.
+        # Kernels are (height, width).
         relu = 2 ** 0.5
         self.cnn = nn.Sequential(
-            nn.ZeroPad2d((2, 2, 1, 1)), orthogonal(nn.Conv2d(3, 32, (6, 8), 4), relu), nn.ReLU(),
+            orthogonal(nn.Conv2d(3, 32, (6, 8), 4, padding=(1, 2)), relu), nn.ReLU(),
             nn.ZeroPad2d((1, 1, 0, 1)), orthogonal(nn.Conv2d(32, 64, (3, 4), 2), relu), nn.ReLU(),
             nn.MaxPool2d(2),
             nn.ZeroPad2d((0, 0, 0, 1)), orthogonal(nn.Conv2d(64, 64, 2, 2), relu), nn.ReLU(),
@@ -81,7 +82,7 @@ class Network(nn.Module):
 
     def see(self, images):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
-        return self.cnn(images.permute(0, 3, 1, 2).float() / 255)  # channels-last in memory already
+        return self.cnn(images.permute(0, 3, 1, 2).float().mul_(1 / 255))  # channels stay last in memory
 
     @torch.no_grad()
     def act(self, observations, state, generator=None):
@@ -106,10 +107,9 @@ class Network(nn.Module):
         real = torch.ones(image.shape[:2], dtype=torch.bool) if mask is None else mask
         features = torch.zeros(*image.shape[:2], FEATURES, device=image.device)
         features[real] = self.see(image[real])  # (M, T, FEATURES)
-        target = observations["target"] / torch.tensor([1.0, torch.pi])
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
-        x, states = torch.cat([features, target], -1), []
+        x, states = torch.cat([features, observations["target"]], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):

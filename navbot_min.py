@@ -7,7 +7,7 @@ Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
 
 import argparse
-from difflib import get_close_matches
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -88,54 +88,39 @@ class NavVecEnv(VectorEnv):
 
     def _target_choices(self, targets):
         """The target indices, one array a robot, that its episodes draw from."""
-        scenes = self.world.scenes
-        if isinstance(targets, str):
-            spans = {"training": lambda s: (0, len(s.training_targets)),
-                     "new": lambda s: (len(s.training_targets), len(s.targets)),
-                     "both": lambda s: (0, len(s.targets))}
-            if targets not in spans:
-                raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(spans)}, "
-                                 "or an index for each robot")
-            return [np.arange(*spans[targets](scene)) for scene in scenes]
-        targets = np.asarray(targets)
-        if targets.shape != (self.num_envs,) or not all(
-                0 <= k < len(scene.targets) for k, scene in zip(targets, scenes)):
-            raise ValueError(f"targets is {targets}, it must hold an index into its scene's targets "
-                             f"for each of the {self.num_envs} robots")
-        return [np.array([k]) for k in targets]
+        named, choices = isinstance(targets, str), []
+        for r, scene in enumerate(self.world.scenes):
+            training, both = len(scene.training_targets), range(len(scene.targets))
+            sets = {"training": both[:training], "new": both[training:], "both": both}
+            if targets not in sets if named else (
+                    np.shape(targets) != (self.num_envs,) or targets[r] not in both):
+                raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(sets)}, or "
+                                 f"hold an index into its scene's targets for each robot")
+            choices.append(np.array(sets[targets] if named else [targets[r]]))
+        return choices
 
     def reset(self, *, seed=None, options=None):
         """Starts every robot's episode; `seed` starts the random generator anew."""
         super().reset(seed=seed)
-        R = self.num_envs
-        self._target, self._targets = np.zeros(R, int), np.zeros((R, 2))
-        self._steps, self._return = np.zeros(R, int), np.zeros(R)
-        self._observations = {"image": np.empty((R, H, W, 3), np.uint8),
-                              "target": np.zeros((R, 2), np.float32),
-                              "velocity": np.zeros((R, 2), np.float32),
-                              "reward": np.zeros((R, 1), np.float32)}
-        self._begin(np.arange(R))
-        return self._copy(), {"pose": self.world.poses}
+        self._target, self._targets = np.zeros(self.num_envs, int), np.zeros((self.num_envs, 2))
+        self._steps, self._return = np.zeros(self.num_envs, int), np.zeros(self.num_envs)
+        return self._begin(np.arange(self.num_envs)), {"pose": self.world.poses}
 
     def _begin(self, robots):
-        """Starts a new episode for those robots (n,) indices."""
+        """Starts a new episode for those robots (n,) indices; returns their observations."""
         scenes = [self.world.scenes[r] for r in robots]
         self._target[robots] = [self.np_random.choice(self._choices[r]) for r in robots]
         self._targets[robots] = [scene.targets[k] for scene, k in zip(scenes, self._target[robots])]
         self._steps[robots], self._return[robots] = 0, 0
         self.world.place(robots, np.array([scene.start for scene in scenes]))
-        self._observe(robots, velocity=0, reward=0)
+        return self._observe(robots, np.zeros((len(robots), 2)), np.zeros(len(robots)))
 
     def _observe(self, robots, velocity, reward):
         poses, targets = self.world.poses[robots], self._targets[robots]
-        seen = self._observations
-        seen["image"][robots] = self.camera.render(self.room[robots], poses, targets)
-        seen["target"][robots] = polar_targets(poses, targets)
-        seen["velocity"][robots] = velocity
-        seen["reward"][robots, 0] = reward
-
-    def _copy(self):
-        return {key: value.copy() for key, value in self._observations.items()}
+        return {"image": self.camera.render(self.room[robots], poses, targets),
+                "target": polar_targets(poses, targets).astype(np.float32),
+                "velocity": velocity.astype(np.float32),
+                "reward": reward[:, None].astype(np.float32)}
 
     def _command(self, actions):
         """Commands (R, 2) [m/s, rad/s] from actions. Raises ValueError, ResetNeeded."""
@@ -163,23 +148,24 @@ class NavVecEnv(VectorEnv):
         self._return += reward
         terminated = arrived | hit
         truncated = ~terminated & (self._steps >= self.max_episode_steps)
-        self._observe(np.arange(self.num_envs), command, reward)
-        infos = {"pose": poses} | self._end(terminated | truncated, np.where(arrived, 0, np.where(hit, 1, 2)))
-        return self._copy(), reward, terminated, truncated, infos
+        observations = self._observe(np.arange(self.num_envs), command, reward)
+        infos, done = {"pose": poses}, terminated | truncated
+        if done.any():
+            infos |= self._end(done, np.where(arrived, 0, np.where(hit, 1, 2)), observations)
+        return observations, reward, terminated, truncated, infos
 
-    def _end(self, done, outcome):
-        """Reports the episodes that are done (R,) bool and starts the next ones."""
-        robots = np.flatnonzero(done)
-        if not len(robots):
-            return {}
-        final_obs = np.full(self.num_envs, None, dtype=object)
+    def _end(self, done, outcome, observations):
+        """Reports the episodes that are done (R,) bool, and starts the next ones: their first
+        observations take the last ones' places."""
+        robots, final_obs = np.flatnonzero(done), np.full(self.num_envs, None, dtype=object)
         for r in robots:
-            final_obs[r] = {key: value[r].copy() for key, value in self._observations.items()}
+            final_obs[r] = {key: value[r].copy() for key, value in observations.items()}
         training = np.array([len(scene.training_targets) for scene in self.world.scenes])
         final_info = {"outcome": np.array(OUTCOMES)[outcome], "return": self._return.copy(),
                       "length": self._steps.copy(), "target": self._target.copy(),
                       "new": self._target >= training}
-        self._begin(robots)
+        for key, value in self._begin(robots).items():
+            observations[key][robots] = value
         return {"final_obs": final_obs, "_final_obs": done,
                 "final_info": final_info | {f"_{key}": done for key in final_info},
                 "_final_info": done}
@@ -233,13 +219,11 @@ class CommandLine(argparse.ArgumentParser):
         self.exit(2, f"error: {message}\n")
 
     def parse(self, argv=None):
-        known, unknown = self.parse_known_args(argv)
+        options, unknown = self.parse_known_args(argv)
         if unknown:
-            flags = [flag for action in self._actions for flag in action.option_strings]
-            near = get_close_matches(unknown[0], flags, 1)
-            self.error(f"unknown argument '{unknown[0]}'"
-                       + (f", did you mean {near[0]}?" if near else f", known: {', '.join(flags)}"))
-        return known
+            known = [flag for action in self._actions for flag in action.option_strings]
+            self.error(f"unknown argument '{unknown[0]}', known are {', '.join(known)}")
+        return options
 
 
 def turn_to_target(observation):
@@ -261,27 +245,21 @@ def drive_episode(env, seed):
 
 
 def draw_demo(scene, episodes, path):
-    """The map with every episode's path, beside eight frames of the last episode, as one PNG."""
-    colours = dict(zip(OUTCOMES, ("#12913a", "#d62728", "#e08a00")))
-    figure = Figure(figsize=(13, 5), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))
+    """The map with every episode's path, beside frames of the last episode, as a PNG file."""
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.2))
     axes = left.subplots()
     draw_map(axes, scene)
+    axes.add_patch(Circle(scene.start[:2], ROBOT_RADIUS, color="#333333"))
     for poses, _, info in episodes:
-        axes.plot(*poses[:, :2].T, color=colours[info["outcome"]], lw=2)
-    for outcome in dict.fromkeys(info["outcome"] for _, _, info in episodes):
-        axes.plot([], [], color=colours[outcome], lw=2, label=outcome)
-    x, y, theta = scene.start
-    axes.add_patch(Circle((x, y), ROBOT_RADIUS, color="#333333"))
-    axes.plot([x, x + ROBOT_RADIUS * np.cos(theta)], [y, y + ROBOT_RADIUS * np.sin(theta)], "w", lw=2)
-    axes.legend(loc="lower right", framealpha=1)
-    axes.set_title(f"{scene.name} from above: blue training targets, green new ones")
+        axes.plot(*poses[:, :2].T, color="#12913a" if info["outcome"] == "arrival" else "#d62728", lw=2)
+    axes.set_title(f"{scene.name}: paths from the start (black), red to a collision\n"
+                   "training targets blue, new ones green", fontsize=11)
     images = episodes[-1][1]
-    for panel, t in zip(right.subplots(2, 4).flat, np.linspace(0, len(images) - 1, 8).round()):
-        panel.imshow(images[int(t)])
-        panel.set_title(f"t = {t * CONTROL_PERIOD:.1f} s", fontsize=10)
+    for panel, t in zip(right.subplots(2, 3).flat, np.linspace(0, len(images) - 1, 6).astype(int)):
+        panel.imshow(images[t])
+        panel.set_title(f"the last episode after {t * CONTROL_PERIOD:.1f} s", fontsize=10)
         panel.axis("off")
-    right.suptitle("what the camera saw in the last episode")
     figure.savefig(path, dpi=110)
 
 
@@ -290,25 +268,25 @@ def main(argv=None):
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
     parser.add_argument("--env", default="env1", help="a scene's name, or a path to a scene file")
     parser.add_argument("--episodes", type=int, default=6, help="episodes to drive, from 1 up")
-    parser.add_argument("--seed", type=int, default=0, help="of the targets that are drawn")
     parser.add_argument("--out", default="demo.png", help="where the picture is written")
     options = parser.parse(argv)
-    if options.episodes < 1 or options.seed < 0:
-        parser.error("--episodes must be from 1 up and --seed from 0 up, given were "
-                     f"{options.episodes} and {options.seed}")
+    if options.episodes < 1:
+        parser.error(f"--episodes is {options.episodes}, it must be from 1 up")
+    if not Path(options.out).parent.is_dir():
+        parser.error(f"--out '{options.out}' lies in a folder that does not exist")
     try:
         env = NavEnv(options.env)
-        scene, episodes = env.vector.world.scenes[0], []
-        for k in range(options.episodes):
-            episodes.append(drive_episode(env, options.seed if k == 0 else None))
-            info = episodes[-1][2]
-            x, y = scene.targets[info["target"]]
-            print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target ({x}, {y}): "
-                  f"{info['outcome']} after {info['length'] * CONTROL_PERIOD:.1f} s, "
-                  f"return {info['return']:.1f}")
-        draw_demo(scene, episodes, options.out)
-    except (SceneError, OSError) as error:
+    except SceneError as error:
         parser.error(error)
+    scene, episodes = env.vector.world.scenes[0], []
+    for k in range(options.episodes):
+        episodes.append(drive_episode(env, seed=0 if k == 0 else None))
+        info = episodes[-1][2]
+        x, y = scene.targets[info["target"]]
+        print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target ({x}, {y}): "
+              f"{info['outcome']} after "
+              f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
+    draw_demo(scene, episodes, options.out)
     print(f"wrote {options.out}: the map with the paths, and what the camera saw")
 
 

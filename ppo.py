@@ -12,6 +12,9 @@ import torch
 from torch.nn.functional import mse_loss
 from torch.nn.utils.rnn import pad_sequence
 
+VALUE_WEIGHT = 0.5  # of the value loss beside the policy loss, our choice
+MAX_GRADIENT_NORM = 0.5  # longer gradients are scaled down to it, our choice
+
 
 @dataclass
 class Episode:
@@ -123,19 +126,18 @@ def losses(model, batch, eps):
     r, A = log_r.exp(), batch["advantages"][mask]
     policy_loss = -torch.min(r * A, r.clamp(1 - eps, 1 + eps) * A).mean()  # Eq. (3)
     value_loss = mse_loss(values[mask], batch["returns"][mask])
-    entropy = distribution.entropy().sum(-1)[mask].mean()
     with torch.no_grad():
-        statistics = {"policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy,
+        statistics = {"policy_loss": policy_loss, "value_loss": value_loss,
+                      "entropy": distribution.entropy().sum(-1)[mask].mean(),
                       "kl": (r - 1 - log_r).mean(),  # estimator k3, never negative
                       "clip_fraction": ((r - 1).abs() > eps).float().mean()}
-    return policy_loss, value_loss, entropy, statistics
+    return policy_loss, value_loss, statistics
 
 
 def update(model, optimizer, episodes, config, rng):
     """K epochs of minibatches of whole episodes, Algorithm 1. Returns the statistics' means.
 
-    config: `epochs`, `minibatches`, `gamma`, `lam`, `clip`, `value_weight`, `entropy_weight`,
-    `max_gradient_norm`. rng: numpy Generator, shuffles.
+    config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
     values = torch.cat([e.values for e in episodes])
@@ -147,11 +149,10 @@ def update(model, optimizer, episodes, config, rng):
         for chosen in np.array_split(order, min(config.minibatches, len(order))):
             batch = pad([episodes[k] for k in chosen], [A[k] for k in chosen])
             batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)
-            policy_loss, value_loss, entropy, statistics = losses(model, batch, config.clip)
+            policy_loss, value_loss, statistics = losses(model, batch, config.clip)
             optimizer.zero_grad()
-            (policy_loss + config.value_weight * value_loss
-             - config.entropy_weight * entropy).backward()
-            torch.nn.utils.clip_grad_norm_(model.parameters(), config.max_gradient_norm)
+            (policy_loss + VALUE_WEIGHT * value_loss).backward()
+            torch.nn.utils.clip_grad_norm_(model.parameters(), MAX_GRADIENT_NORM)
             optimizer.step()
             for name, value in statistics.items():
                 totals.setdefault(name, []).append(value.item())

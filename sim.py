@@ -6,7 +6,7 @@ A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room
 
 import math
 import tomllib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -105,80 +105,75 @@ class Scene:
         while flood.sum() > size:
             size = flood.sum()
             grown = flood.copy()
-            for axis in (0, 1):
-                for step in (-1, 1):
-                    grown |= np.roll(flood, step, axis)
+            for step, axis in ((-1, 0), (1, 0), (-1, 1), (1, 1)):
+                grown |= np.roll(flood, step, axis)
             flood = grown & free
-        if flood[[0, -1]].any() or flood[:, [0, -1]].any():
-            raise SceneError("the room is not closed: the robot can drive out of it")
+        _check(not (flood[[0, -1]].any() or flood[:, [0, -1]].any()),
+               "the room is not closed: the robot can drive out of it")
         return grid[flood]
 
-    def as_dict(self):
-        """Plain numbers, strings and lists, as a scene file holds them; `parse_scene` reads it."""
-        return {key: value for key, value in asdict(self).items() if key != "name"}
+
+def _check(valid, message):
+    if not valid:
+        raise SceneError(message)
 
 
 def _number(value, what, low=-math.inf):
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise SceneError(f"{what} is {value!r}, it must be a finite number")
-    if value <= low:
-        raise SceneError(f"{what} is {value!r}, it must be above {low}")
+    _check(isinstance(value, (int, float)) and math.isfinite(value),
+           f"{what} is {value!r}, it must be a finite number")
+    _check(value > low, f"{what} is {value!r}, it must be above {low}")
     return float(value)
 
 
 def _numbers(value, count, what):
-    if not isinstance(value, (list, tuple)) or len(value) != count:
-        raise SceneError(f"{what} is {value!r}, it must be a list of {count} numbers")
+    _check(isinstance(value, (list, tuple)) and len(value) == count,
+           f"{what} is {value!r}, it must be a list of {count} numbers")
     return tuple(_number(item, f"{what}[{k}]") for k, item in enumerate(value))
 
 
-def _keys(table, required, optional, what):
-    if not isinstance(table, dict):
-        raise SceneError(f"{what} is {table!r}, it must be a table")
+def _keys(table, required, what, optional=()):
+    _check(isinstance(table, dict), f"{what} is {table!r}, it must be a table")
     for key in required:
-        if key not in table:
-            raise SceneError(f"{what} has no '{key}'")
+        _check(key in table, f"{what} has no '{key}'")
+    known = [*required, *optional]
     for key in table:
-        if key not in required and key not in optional:
-            raise SceneError(f"{what} has an unknown key '{key}'; known: "
-                             + ", ".join([*required, *optional]))
+        _check(key in known, f"{what} has an unknown key '{key}'; known: {', '.join(known)}")
 
 
 def _parse_box(table, offset, what):
-    _keys(table, [field.name for field in fields(Box)], [], what)
-    if table["material"] not in MATERIALS:
-        raise SceneError(f"{what}.material is {table['material']!r}, it must be one of "
-                         + ", ".join(MATERIALS))
-    lows = {"length": 0, "thickness": 0, "height": CAMERA_HEIGHT}  # no top of a box is ever seen
-    box = {field.name: _number(table[field.name], f"{what}.{field.name}",
-                               lows.get(field.name, -math.inf)) for field in fields(Box)[1:]}
+    _keys(table, [field.name for field in fields(Box)], what)
+    _check(table["material"] in MATERIALS, f"{what}.material is {table['material']!r}, "
+           f"it must be one of {', '.join(MATERIALS)}")
+    lows = {"length": 0, "thickness": 0, "height": CAMERA_HEIGHT}  # no box's top is ever seen
+    box = {key: _number(value, f"{what}.{key}", lows.get(key, -math.inf))
+           for key, value in table.items() if key != "material"}
     return Box(table["material"], **box | {"x": box["x"] + offset[0], "y": box["y"] + offset[1]})
 
 
 def parse_scene(table, name):
-    """The scene that a dict describes. Raises SceneError for anything a robot could not be run in."""
+    """The scene that a dict describes, as a scene file or `dataclasses.asdict` of a Scene holds it.
+    Raises SceneError for what a robot could not be run in."""
     lists = ("boxes", "training_targets", "new_targets")
-    _keys(table, ["start", *lists], ["offset"], "the scene")
+    _keys(table, ["start", *lists], "the scene", optional=["offset", "name"])
     for key in lists:
-        if not isinstance(table[key], (list, tuple)) or len(table[key]) == 0:
-            raise SceneError(f"{key} is {table[key]!r}, it must be a list with at least one entry")
+        _check(isinstance(table[key], (list, tuple)) and len(table[key]) > 0,
+               f"{key} is {table[key]!r}, it must be a list with at least one entry")
     offset = _numbers(table.get("offset", (0, 0)), 2, "offset")
     boxes = tuple(_parse_box(box, offset, f"boxes[{k}]") for k, box in enumerate(table["boxes"]))
     start = _numbers(table["start"], 3, "start")
     training, new = (tuple(_numbers(target, 2, f"{key}[{k}]") for k, target in enumerate(table[key]))
                      for key in lists[1:])
     scene = Scene(name, boxes, start, training, new)
-    if scene.clearance(start[:2]) <= ROBOT_RADIUS:
-        raise SceneError(f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
+    _check(scene.clearance(start[:2]) > ROBOT_RADIUS,
+           f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
     reachable = scene.reachable()
-    for key, targets in zip(lists[1:], (training, new)):
+    for key, targets in (("training_targets", training), ("new_targets", new)):
         for k, target in enumerate(targets):
-            if scene.clearance(target) <= 0:
-                raise SceneError(f"{key}[{k}] {target} is inside a box")
-            if np.hypot(*(reachable - target).T).min(initial=np.inf) >= ARRIVAL_DISTANCE:
-                raise SceneError(f"{key}[{k}] {target} cannot be reached from the start")
-            if key == "new_targets" and target in training:
-                raise SceneError(f"{key}[{k}] {target} is a training target too")
+            what = f"{key}[{k}] {target}"
+            _check(scene.clearance(target) > 0, f"{what} is inside a box")
+            _check(np.hypot(*(reachable - target).T).min(initial=np.inf) < ARRIVAL_DISTANCE,
+                   f"{what} cannot be reached from the start")
+            _check(targets is training or target not in training, f"{what} is a training target too")
     return scene
 
 

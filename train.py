@@ -12,14 +12,14 @@ import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, fields
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from evaluate import evaluate, report
+from evaluate import draw_curves, evaluate, report
 from model import MEMORIES, REWARD_SCALE, Network
 from navbot_min import CommandLine, NavVecEnv
 from ppo import Collector, update
@@ -27,9 +27,6 @@ from sim import SceneError, load_scene
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
-SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
-           "env2": {"training": 500, "new": 100}}
-PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
 
 
 def option(default, text, low=None, high=None, choices=None):
@@ -45,16 +42,13 @@ class Config:
     steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
     robots: int = option(32, "R, robots that drive side by side", 1)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
-    episodes_per_update: int = option(64, "N of Algorithm 1", 1)
+    episodes_per_update: int = option(32, "N of Algorithm 1", 1)
     epochs: int = option(4, "K of Algorithm 1", 1)
-    minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
-    learning_rate: float = option(3e-4, "of Adam", 1e-9, 1.0)
+    minibatches: int = option(2, "an epoch's minibatches of whole episodes", 1)
+    learning_rate: float = option(6e-4, "of Adam", 1e-9, 1.0)
     gamma: float = option(0.99, "discount of a step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
     clip: float = option(0.2, "epsilon of Eq. (3)", 1e-9, 1.0)
-    value_weight: float = option(0.5, "of the value loss", 0.0, 100.0)
-    entropy_weight: float = option(0.0, "of the entropy bonus", 0.0, 100.0)
-    max_gradient_norm: float = option(0.5, "gradients are scaled down to it", 1e-9, 1e9)
     evaluation_episodes: int = option(1000, "frozen episodes to targets of each kind", 1)
     out: str = option("", "run folder, must not exist; by default runs/<env>-seed<k>")
     json: bool = option(False, "print the summary alone, as JSON, on standard output")
@@ -86,17 +80,16 @@ class RunFolder:
     """The files of one run. Nothing that exists is overwritten, nothing is left half-written."""
 
     def __init__(self, config, scene):
-        self.path = Path(config.out or f"runs/{scene.name}-seed{config.seed}")
-        base, copy = self.path, 1
-        while True:
+        name = f"runs/{scene.name}-seed{config.seed}"
+        names = chain([name], (f"{name}-{copy}" for copy in count(2)))
+        for name in [config.out] if config.out else names:
+            self.path = Path(name)
             try:
                 self.path.mkdir(parents=True)
                 break
             except FileExistsError:
                 if config.out:
                     raise
-                copy += 1
-                self.path = base.with_name(f"{base.name}-{copy}")
         self._tables = {}
         self.write("config.json", json.dumps(asdict(config), indent=2))
 
@@ -116,7 +109,7 @@ class RunFolder:
     def save_model(self, model, scene, steps):
         """Weights, what rebuilds the network, and the scene; loads with `weights_only=True`."""
         content = {"weights": model.state_dict(), "memory": model.memory, "steps": steps,
-                   "scene": scene.as_dict(), "scene_name": scene.name}
+                   "scene": asdict(scene)}
         self.write("model.pt", lambda path: torch.save(content, path))
 
 
@@ -142,41 +135,14 @@ class Record:
         """Success rate of the last 100 episodes of that kind; None before the first."""
         return sum(self._last[kind]) / len(self._last[kind]) if self._last[kind] else None
 
+    def rates(self):
+        """Both success rates, as the progress bar shows them."""
+        return {f"{kind} targets": "-" if self.success(kind) is None else f"{self.success(kind):.0%}"
+                for kind in self._last}
+
     def rule_is_met(self):
         """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
         return len(self._last["new"]) == WINDOW and self.success("new") > SUCCESS_RATE
-
-
-def draw_curves(episodes, env):
-    """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind."""
-    with open(PAPER_CURVES, newline="") as file:
-        paper = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    figure = Figure(figsize=(11, 7), layout="constrained")
-    panels = figure.subplots(2, 2, sharey="row")
-    for column, (kind, colour) in enumerate((("training", "#1f4fd8"), ("new", "#12913a"))):
-        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
-        rows = [row for row in episodes if row["kind"] == kind]
-        window = SPACING.get(env, {}).get(kind, 100)
-        ends = [*range(window, len(rows), window), len(rows)] if rows else []
-        arrived = [row["outcome"] == "arrival" for row in rows]
-        ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
-                "mean_return": [np.mean([row["return"] for row in rows[(n - 1) // window * window:n]])
-                                for n in ends]}
-        for row, (key, label, scale) in enumerate((
-                ("success_last_100", "success rate, last 100 episodes [%]", 100),
-                ("mean_return", "average reward of an episode", 1))):
-            axes = panels[row, column]
-            axes.plot([float(point["episodes"]) for point in theirs],
-                      [scale * float(point[key]) for point in theirs], color="#b0b0b0",
-                      label="paper (released records)" if theirs else None)
-            axes.plot(ends, ours[key], color=colour, marker="o", ms=3, label="this run")
-            axes.set(xlabel=f"episodes to {kind} targets", ylabel=label if column == 0 else None)
-            axes.grid(alpha=0.3)
-        panels[0, column].axhline(100 * SUCCESS_RATE, color="black", lw=0.8, ls="--")
-        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
-        panels[0, column].legend(loc="lower right")
-    figure.suptitle(f"{env}: this run, and the paper's (dashed: the rate r at which it stops)")
-    return figure
 
 
 def train(config, scene, folder):
@@ -205,24 +171,17 @@ def train(config, scene, folder):
                 speed = round(record.steps / (time.perf_counter() - start), 1)
                 folder.add_row("updates.csv", {"steps": record.steps, **statistics,
                                                "steps_per_second": speed})
-                show(bar, record)
+                bar.set_postfix(record.rates())
     except KeyboardInterrupt:
         bar.write("interrupted: what was learnt so far is saved", file=sys.stderr)
     seconds = time.perf_counter() - start
-    show(bar, record)
+    bar.set_postfix(record.rates())
     bar.close()
     return model, record, {
         "env": scene.name, "seed": config.seed, "steps": record.steps,
         "episodes": len(record.episodes), "seconds": round(seconds, 2),
         "stopped_by_rule": record.rule_is_met(), "rolling_new_success": record.success("new"),
         "frozen": None}
-
-
-def show(bar, record):
-    """Success rates beside the progress bar."""
-    rates = {kind: record.success(kind) for kind in ("training", "new")}
-    bar.set_postfix({f"{kind} targets": "-" if rate is None else f"{rate:.0%}"
-                     for kind, rate in rates.items()})
 
 
 def print_summary(summary, file):
@@ -250,7 +209,7 @@ def main(argv=None):
     print(f"run folder: {folder.path}", file=messages)
     model, record, summary = train(config, scene, folder)
     folder.save_model(model, scene, record.steps)
-    folder.write("curves.png", lambda path: draw_curves(record.episodes, scene.name).savefig(
+    folder.write("curves.png", lambda path: draw_curves(record.episodes, scene.name, SUCCESS_RATE).savefig(
         path, format="png", dpi=110))
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)

@@ -1,0 +1,719 @@
+"""Each test is the shortest proof of one claim, against an oracle that is slow and obvious."""
+
+import ast
+import csv
+import json
+import math
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+import evaluate
+import model
+import navbot_min
+import ppo
+import render
+import sim
+import train
+
+ROOT = Path(__file__).parent
+ENV1, ENV2 = sim.load_scene("env1"), sim.load_scene("env2")
+LESSON = ("navbot_min.py", "sim.py", "render.py", "model.py", "ppo.py", "train.py")
+
+
+def square_room(half=2.0, thickness=0.1, extra=(), **changes):
+    """A scene file's content: a square room around the origin, `half` metres to each inner wall."""
+    side, place = 2 * half + 2 * thickness, half + thickness / 2
+    walls = [dict(material="wall", x=place * math.cos(a), y=place * math.sin(a), yaw=a + math.pi / 2,
+                  length=side, thickness=thickness, height=2.5) for a in np.arange(4) * math.pi / 2]
+    return dict(boxes=walls + list(extra), start=[0.0, 0.0, 0.0], training_targets=[[1.0, 0.0]],
+                new_targets=[[0.0, 1.0]]) | changes
+
+
+def box(**changes):
+    return dict(material="wall", x=1.0, y=0.0, yaw=0.0, length=0.2, thickness=0.2, height=2.5) | changes
+
+
+# ---------------------------------------------------------------------------------------- the world
+
+
+@pytest.mark.parametrize("v, w", [(0.3, 0.0), (0.3, 1.0), (0.1, -0.4), (0.0, 1.0)])
+def test_constant_velocities_drive_the_closed_form_arc(v, w):
+    world = sim.World([sim.parse_scene(square_room(4.0), "room")])
+    world.place([0], [(0.5, -0.2, 2.0)])
+    for _ in range(25):
+        assert not world.drive([(v, w)]).any()
+    angle = 2.0 + 10 * w
+    step = 10 * v * np.array([math.cos(2.0), math.sin(2.0)]) if w == 0 else (
+        v / w * np.array([math.sin(angle) - math.sin(2.0), math.cos(2.0) - math.cos(angle)]))
+    assert np.allclose(world.poses[0, :2], np.array([0.5, -0.2]) + step, atol=1e-3)
+    assert abs(sim.wrap_angle(world.poses[0, 2] - angle)) < 1e-6
+
+
+def test_a_robot_at_full_speed_never_crosses_the_thinnest_wall():
+    thin = box(thickness=3.98, length=0.001, x=0.7)
+    scene = sim.parse_scene(square_room(extra=[thin], training_targets=[[-1.0, 0.0]]), "room")
+    world, hits = sim.World([scene] * 64), 0
+    world.place(slice(None), np.c_[np.zeros(64), np.linspace(-1, 1, 64), np.linspace(-1, 1, 64)])
+    for _ in range(50):  # 20 s, never reset
+        hits += world.drive(np.tile((0.3, 0.0), (64, 1))).sum()
+        assert scene.clearance(world.poses[:, :2]).min() >= sim.ROBOT_RADIUS
+    assert hits > 64 and world.poses[:, 0].max() < 0.7
+
+
+def test_a_hit_is_reported_exactly_when_the_disc_would_overlap_a_box():
+    rng = np.random.default_rng(0)
+    free = ENV1.reachable()
+    world = sim.World([ENV1] * 200)
+    poses = np.c_[free[rng.integers(len(free), size=200)], rng.uniform(-np.pi, np.pi, 200)]
+    world.place(slice(None), poses)
+    hit = world.drive(np.tile((0.3, 0.0), (200, 1)))
+    ahead = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], -1)
+    expected = [min(ENV1.clearance(p + a * 0.03 * k) for k in (1, 2, 3, 4)) < sim.ROBOT_RADIUS
+                for p, a in zip(poses[:, :2], ahead)]
+    assert hit.tolist() == expected and 10 < hit.sum() < 190
+
+
+def test_an_episode_is_not_changed_by_a_collision_before_it():
+    world, fresh = sim.World([ENV1]), sim.World([ENV1])
+    while not world.drive([(0.3, 0.0)]).any():
+        pass
+    world.drive([(0.3, 0.3)])
+    world.place([0], [ENV1.start])
+    for _ in range(10):
+        assert world.drive([(0.2, -0.5)]) == fresh.drive([(0.2, -0.5)])
+        assert (world.poses == fresh.poses).all()
+
+
+def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
+    scenes = [(ENV1, ENV2)[k % 3 // 2] for k in range(100)]  # several copies of both rooms
+    commands = np.random.default_rng(1).uniform((0, -1), (0.3, 1), (12, 100, 2))
+    world, alone = sim.World(scenes), [sim.World([scene]) for scene in scenes]
+    for command in commands:
+        hit = world.drive(command)
+        assert hit.tolist() == [one.drive(c[None])[0] for one, c in zip(alone, command)]
+        assert np.allclose(world.poses, [one.poses[0] for one in alone], atol=1e-9)
+
+
+def test_range_readings_match_the_distances_to_the_walls():
+    world = sim.World([sim.parse_scene(square_room(), "room")])
+    world.place([0], [(0.5, 0.25, 0.3)])
+    readings = world.range_readings(np.array([0, 0.5, 1, -0.5]) * np.pi - 0.3, 8.0)
+    assert np.allclose(readings, [(1.5, 1.75, 2.5, 2.25)])
+    assert np.allclose(world.range_readings([0.0], 1.0), 1.0)  # nothing within range
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
+def test_rooms_are_the_papers(scene):
+    """Facts of the released rooms: every place has 0.28 m of air, no target is in a straight line."""
+    places = np.vstack([scene.targets, scene.start[:2]])
+    assert scene.clearance(places).min() >= 0.28
+    for target in scene.targets:
+        line = np.linspace(scene.start[:2], target, 500)
+        assert scene.clearance(line).min() < sim.ROBOT_RADIUS
+
+
+@pytest.mark.parametrize("change, words", [
+    (dict(training_targets=[[1.0, 0.0], [2.05, 0.0]]), "training_targets[1] (2.05, 0.0) is inside"),
+    (dict(new_targets=[[9.0, 0.0]]), "new_targets[0] (9.0, 0.0) cannot be reached"),
+    (dict(new_targets=[]), "new_targets is []"),
+    (dict(new_targets=[[math.nan, 0.0]]), "new_targets[0][0] is nan"),
+    (dict(new_targets=[[1.0, 0.0]]), "is a training target too"),
+    (dict(start=[0.0, 0.0]), "start is [0.0, 0.0], it must be a list of 3"),
+    (dict(start=[1.9, 0.0, 0.0]), "start (1.9, 0.0) is nearer to a box"),
+    (dict(colour="red"), "unknown key 'colour'"),
+    (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
+    (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2, it must be above 0.281"),
+    (dict(boxes=[box(material="glass")]), "boxes[0].material is 'glass'"),
+    (dict(boxes=[box(length="long")]), "boxes[0].length is 'long'"),
+    (dict(boxes=[{}]), "boxes[0] has no 'material'"),
+])
+def test_a_bad_scene_is_one_error_that_names_the_item(change, words):
+    with pytest.raises(sim.SceneError, match=re.escape(words)):
+        sim.parse_scene(square_room() | change, "room")
+
+
+# --------------------------------------------------------------------------------------- the camera
+
+
+def slow_image(scene, pose, target):
+    """The twin of the camera: each pixel's ray is met with every face in 3-D, the nearest wins."""
+    cube = sim.Box("cube", *target, yaw=0.0, length=0.2, thickness=0.2, height=0.2)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    eye = np.array([pose[0] - 0.118 * c, pose[1] - 0.118 * s])
+    i, j = np.mgrid[:48, :64]
+    left, down = (31.5 - j) / render.FOCAL, (i - 23.5) / render.FOCAL
+    x, y = c - s * left, s + c * left  # the ray, a unit deep
+    image = np.where(down[..., None] > 0, render.FLOOR, render.SKY).astype(float)
+    nearest = np.where(down > 0, 0.281 / np.abs(down), np.inf).clip(max=render.FAR)
+    for b in (*scene.boxes, cube):
+        for p, q in zip(b.corners, np.roll(b.corners, -1, axis=0)):
+            length = np.hypot(*(q - p))
+            along = (q - p) / length
+            facing = x * along[1] - y * along[0]  # the ray along the outward normal
+            z = ((p - eye) @ (along[1], -along[0])) / np.where(facing == 0, 1e-9, facing)
+            u = (eye[0] + z * x - p[0]) * along[0] + (eye[1] + z * y - p[1]) * along[1]
+            height = 0.281 - z * down
+            hit = ((facing < 0) & (0 < z) & (z < nearest) & (0 <= u) & (u <= length)
+                   & (0 <= height) & (height < b.height))
+            bright = render.light((along[1], -along[0], 0))
+            if b is cube:
+                image[hit] = np.multiply(render.BLUE, bright)
+            else:
+                texel = (u[hit] // 0.025).astype(int) % 48, (height[hit] // 0.025).astype(int)
+                image[hit] = render.texture(b.material)[texel] * bright.round(1)
+            nearest = np.where(hit, z, nearest)
+    z = (0.281 - 0.2) / np.where(down > 0, down, 1e-9)  # the lid of the cube
+    lid = (z < nearest) & (np.abs(eye[0] + z * x - target[0]) < 0.1) & (
+        np.abs(eye[1] + z * y - target[1]) < 0.1)
+    image[lid] = np.multiply(render.BLUE, render.light((0, 0, 1)))
+    return image.clip(0, 255).round()
+
+
+def test_images_are_those_of_the_slow_raycaster():
+    rng, checked = np.random.default_rng(3), []
+    low = box(material="wood", x=1.0, y=0.3, yaw=0.4, length=0.4, thickness=0.3, height=0.5)
+    middle = box(material="brick", x=1.6, y=-0.2, yaw=-0.5, length=0.8, thickness=0.2, height=1.1)
+    tall = box(x=1.9, y=1.0, yaw=0.2, length=0.3, thickness=0.3, height=1.6)
+    room = sim.parse_scene(square_room(3.0, extra=[low, middle, tall], training_targets=[[-1.0, 0.0]],
+                                       new_targets=[[-1.0, 1.0]]), "room")
+    cases = [(room, (0.0, 0.0, 0.1), (1.9, 0.4)), (room, (0.1, -0.1, 0.2), (0.6, 0.1))]
+    for scene in (ENV1, ENV2):
+        free = scene.reachable()
+        for _ in range(10):
+            pose = (*free[rng.integers(len(free))], rng.uniform(-np.pi, np.pi))
+            cases.append((scene, pose, scene.targets[0]))
+    for scene, pose, target in cases:
+        with np.errstate(all="raise"):
+            fast = render.Camera([scene]).render(np.array([0]), np.array([pose]), np.array([target]))
+        off = np.abs(fast[0].astype(float) - slow_image(scene, pose, target)).max(-1) > 1
+        checked.append(off.mean())
+    assert max(checked) <= 0.005 and np.mean(checked) <= 0.001, checked  # on edges alone
+
+
+def test_a_red_wall_seen_head_on_is_flat_and_red():
+    wall = box(material="brick", length=0.1, thickness=3.9, height=1.5)
+    scene = sim.parse_scene(square_room(extra=[wall], training_targets=[[-1.0, 0.0]]), "room")
+    image = render.Camera([scene]).render(np.array([0]), np.zeros((1, 3)), np.array([[-1.0, 0.0]]))[0]
+    assert image.shape == (48, 64, 3) and image.dtype == np.uint8
+    foot = (image == render.FLOOR).all(-1).argmax(0)  # first row of floor in each column
+    distance = 0.95 + 0.118  # from the camera to the wall
+    assert set(foot) == {math.ceil(23.5 + 0.281 / distance * render.FOCAL)}  # flat: no fish-eye
+    red, green, blue = image[: foot[0]].reshape(-1, 3).mean(0)
+    assert red > 1.5 * green and red > 1.5 * blue
+
+
+def test_no_gap_at_any_corner_from_anywhere():
+    rng, free = np.random.default_rng(5), ENV1.reachable()
+    poses = np.c_[free[rng.integers(len(free), size=2000)], rng.uniform(-np.pi, np.pi, 2000)]
+    poses[:8, 2] = np.arange(8) * np.pi / 4
+    with np.errstate(all="raise"):
+        images = render.Camera([ENV1]).render(np.zeros(2000, int), poses, np.tile(ENV1.targets[0], (2000, 1)))
+    horizon = images[:, 23]  # every wall is higher than the camera
+    assert not (horizon == render.SKY).all(-1).any()
+
+
+# ----------------------------------------------------------------------------------------- the task
+
+
+@pytest.mark.parametrize("before, after, arrived, hit, paid", [
+    (2.0, 1.9, False, False, 100 * 0.1 - 0.05), (1.0, 1.0, False, False, -0.05),
+    (1.0, 1.1, False, False, -10.05), (0.2, 0.1, True, False, 100), (1.0, 1.0, False, True, -50),
+    (0.2, 0.1, True, True, 100)])
+def test_rewards_are_those_of_eq_4(before, after, arrived, hit, paid):
+    assert navbot_min.rewards(before, after, arrived, hit) == pytest.approx(paid)
+
+
+def test_arrival_wins_over_a_collision_in_the_same_step():
+    scene = sim.parse_scene(square_room(training_targets=[[1.95, 0.0]], new_targets=[[0.0, 1.0]]), "room")
+    env = navbot_min.NavEnv(scene, targets="training")
+    env.reset()
+    env.vector.world.place([0], [(1.75, 0.0, 0.0)])  # 0.20 m from the target, 0.25 m from the wall
+    hits = env.vector.world.drive([(0.3, 0.0)])
+    env.vector.world.place([0], [(1.75, 0.0, 0.0)])
+    _, reward, terminated, truncated, info = env.step([1.0, 0.0])
+    assert hits[0] and (reward, terminated, truncated) == (100.0, True, False)
+    assert info["outcome"] == "arrival"
+
+
+def test_bearing_is_continuous_through_pi():
+    headings = np.linspace(-7, 7, 5001)
+    polar = navbot_min.polar_targets(np.c_[np.zeros((5001, 2)), headings], np.tile((3.0, 4.0), (5001, 1)))
+    assert np.allclose(polar[:, 0], 5) and (np.abs(polar[:, 1]) <= np.pi).all()
+    turn = np.diff(polar[:, 1])
+    assert np.allclose(np.minimum(np.abs(turn), 2 * np.pi - np.abs(turn)), 14 / 5000)
+    seen = navbot_min.polar_targets(np.zeros((1, 3)), np.array([[0.0, 2.0]]))
+    assert np.allclose(seen, (2.0, np.pi / 2))  # the target to the left has a positive bearing
+
+
+@pytest.mark.parametrize("name", ["env1", "env2"])
+def test_gymnasium_accepts_the_environment_without_a_warning(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(f"navbot_min:NavBot-{name}-v0").unwrapped)
+        many = gym.make_vec(f"navbot_min:NavBot-{name}-v0", num_envs=3,
+                            vectorization_mode="vector_entry_point")
+    observations, _ = many.reset(seed=0)
+    assert many.observation_space.contains(observations)
+    assert many.observation_space.contains(many.step(np.ones((3, 2), np.float32))[0])
+
+
+def test_the_vector_environment_is_many_single_ones():
+    actions = np.random.default_rng(2).uniform((0.3, -1), (1, 1), (150, 4, 2))
+    targets, many = [0, 1, 2, 0], navbot_min.NavVecEnv(4, targets=[0, 1, 2, 0])
+    single = [navbot_min.NavEnv() for _ in range(4)]
+    for env, k in zip(single, targets):
+        env.vector._choices = [np.array([k])]
+    seen, ended = many.reset(seed=0)[0], 0
+    alone = [env.reset(seed=0)[0] for env in single]
+    for action in actions:
+        assert all((seen[key][r] == alone[r][key]).all() for r in range(4) for key in seen)
+        seen, rewards, terminated, truncated, infos = many.step(action)
+        for r, env in enumerate(single):
+            alone[r], reward, term, trunc, info = env.step(action[r])
+            assert (reward, term, trunc) == (rewards[r], terminated[r], truncated[r])
+            if term or trunc:
+                ended += 1
+                last = infos["final_obs"][r]
+                assert all((last[key] == alone[r][key]).all() for key in last)
+                assert infos["final_info"]["outcome"][r] == info["outcome"]
+                alone[r] = env.reset()[0]
+                assert not alone[r]["velocity"].any() and not alone[r]["reward"].any()
+    assert ended > 8
+
+
+def test_the_time_limit_truncates_and_reports_the_last_velocity_and_reward():
+    env = navbot_min.NavEnv(max_episode_steps=3)
+    env.reset(seed=0)
+    results = [env.step([0.0, 5.0]) for _ in range(3)]
+    assert [(r[2], r[3]) for r in results] == [(False, False), (False, False), (False, True)]
+    assert results[-1][4]["outcome"] == "timeout"
+    assert results[-1][0]["velocity"].tolist() == [0, 1]  # clipped, in rad/s
+    assert results[-1][0]["reward"] == pytest.approx(-0.05)
+
+
+@pytest.mark.parametrize("targets, indices", [("training", {0, 1}), ("new", {2}), ("both", {0, 1, 2})])
+def test_episodes_draw_their_targets_from_the_chosen_set(targets, indices):
+    env = navbot_min.NavVecEnv(64, targets=targets)
+    env.reset(seed=0)
+    assert set(env._target) == indices
+
+
+@pytest.mark.parametrize("actions, words", [
+    (np.zeros((3, 2)), "shape (3, 2), it must be (2, 2)"), (np.zeros(2), "it must be (2, 2)"),
+    ([[0, 0], [np.nan, 0]], "robot 1 is not finite")])
+def test_bad_actions_are_refused(actions, words):
+    env = navbot_min.NavVecEnv(2)
+    with pytest.raises(gym.error.ResetNeeded, match="before reset"):
+        env.step(np.zeros((2, 2)))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=re.escape(words)):
+        env.step(actions)
+
+
+# --------------------------------------------------------------------------------------- the network
+
+
+def random_observations(M, T, seed=0):
+    rng = np.random.default_rng(seed)
+    return {"image": torch.as_tensor(rng.integers(0, 256, (M, T, 48, 64, 3), dtype=np.uint8)),
+            "target": torch.as_tensor(rng.normal(size=(M, T, 2)), dtype=torch.float32),
+            "velocity": torch.as_tensor(rng.normal(size=(M, T, 2)), dtype=torch.float32),
+            "reward": torch.as_tensor(rng.normal(size=(M, T, 1)), dtype=torch.float32)}
+
+
+def random_episodes(lengths, seed=0):
+    """Episodes of those lengths, as if collected with other weights."""
+    rng, episodes = np.random.default_rng(seed), []
+    for k, T in enumerate(lengths):
+        numbers = torch.as_tensor(rng.normal(size=(T, 5)), dtype=torch.float32)
+        observations = {key: value[0] for key, value in random_observations(1, T, seed + k).items()}
+        episodes.append(ppo.Episode(observations, numbers[:, :2], numbers[:, 2] - 2, numbers[:, 3],
+                                    numbers[:, 4], last_value=0.0))
+    return episodes
+
+
+def network(memory="stacked", seed=0):
+    torch.manual_seed(seed)
+    return model.Network(memory)
+
+
+def test_the_network_has_the_papers_shapes():
+    net, shapes = network(), []
+    for layer in net.cnn:
+        if isinstance(layer, (torch.nn.Conv2d, torch.nn.MaxPool2d)):
+            layer.register_forward_hook(lambda _, __, y: shapes.append(tuple(y.shape[1:])))
+    net.see(torch.zeros(1, 48, 64, 3, dtype=torch.uint8))
+    assert shapes == [(32, 12, 16), (64, 6, 8), (64, 3, 4), (64, 2, 2)]  # channels, height, width
+    counted = sum(p.numel() for name, p in net.named_parameters() if name != "log_std")
+    assert counted == 948_931 and net.log_std.numel() == 2
+
+
+@pytest.mark.parametrize("memory", model.MEMORIES)
+def test_a_sequence_at_once_equals_step_by_step(memory):
+    net, seen = network(memory), random_observations(3, 7)
+    whole, values, last = net(seen, net.initial_state(3))
+    state = net.initial_state(3)
+    for t in range(7):
+        step, value, state = net({key: x[:, t:t + 1] for key, x in seen.items()}, state)
+        assert torch.allclose(step.mean, whole.mean[:, t:t + 1], atol=1e-5)
+        assert torch.allclose(value, values[:, t:t + 1], atol=1e-5)
+    assert torch.allclose(state, last, atol=1e-5)
+
+
+def test_one_robots_memory_never_reaches_another():
+    net, seen = network(), random_observations(3, 5)
+    mean, values, state = net(seen, net.initial_state(3))
+    other = {key: x.clone() for key, x in seen.items()}
+    other["image"][1], other["target"][1] = 0, 9.0
+    mean_2, values_2, state_2 = net(other, net.initial_state(3))
+    same = [torch.equal(a[r], b[r]) for r in range(3)
+            for a, b in ((mean.mean, mean_2.mean), (values, values_2), (state, state_2))]
+    assert same == [True] * 3 + [False] * 3 + [True] * 3
+
+
+def test_gradients_reach_the_first_convolution_and_both_lstms():
+    net = network()
+    batch = ppo.pad(random_episodes([4, 6]), [torch.ones(4), -torch.ones(6)])
+    for k in (0, 1):
+        net.zero_grad()
+        ppo.losses(net, batch, 0.2)[k].backward()  # the policy loss, then the value loss
+        for parameter in (net.cnn[0].weight, *net.memories[0].parameters(),
+                          *net.memories[1].parameters()):
+            assert parameter.grad.abs().sum() > 0
+
+
+def test_gradients_reach_the_first_step_from_the_last():
+    net, seen = network(), random_observations(1, 12)
+    seen["target"].requires_grad_()
+    net(seen, net.initial_state(1))[1][0, -1].backward()
+    assert (seen["target"].grad[0].abs().sum(-1) > 0).all()
+
+
+# --------------------------------------------------------------------------------------- the learner
+
+
+@pytest.mark.parametrize("last_value", [0.0, 0.7])  # terminated, truncated
+def test_advantages_are_the_brute_force_double_sum(last_value):
+    rng, gamma, lam = np.random.default_rng(0), 0.9, 0.8
+    r, V = rng.normal(size=6), np.append(rng.normal(size=6), last_value)
+    expected = [sum((gamma * lam) ** (k - t) * (r[k] + gamma * V[k + 1] - V[k]) for k in range(t, 6))
+                for t in range(6)]
+    A = ppo.advantages(torch.tensor(r), torch.tensor(V[:-1]), last_value, gamma, lam)
+    assert np.allclose(A, expected)
+
+
+def test_padding_changes_no_loss_and_no_gradient():
+    net, episodes = network(), random_episodes([3, 9, 5])
+    A = [torch.randn(len(e)) for e in episodes]
+    steps, names, together, apart = 17, [n for n, _ in net.named_parameters()], [], []
+    for k in (0, 1):  # policy loss, value loss
+        net.zero_grad()
+        loss = ppo.losses(net, ppo.pad(episodes, A), 0.2)[k]
+        loss.backward()
+        together.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
+                                       if p.grad is not None}))
+        net.zero_grad()
+        loss = sum(len(e) / steps * ppo.losses(net, ppo.pad([e], [a]), 0.2)[k]
+                   for e, a in zip(episodes, A))
+        loss.backward()
+        apart.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
+                                    if p.grad is not None}))
+    for (loss, grads), (loss_2, grads_2) in zip(together, apart):
+        assert loss == pytest.approx(loss_2, rel=1e-5) and set(grads) == set(grads_2) <= set(names)
+        assert all(torch.allclose(grads[n], grads_2[n], rtol=1e-3, atol=1e-6) for n in grads)
+
+
+def test_the_clipped_loss_is_that_of_eq_3():
+    net, episodes = network(), random_episodes([4])
+    A = torch.tensor([1.0, -1.0, 2.0, -0.5])
+    distribution = net({k: v[None] for k, v in episodes[0].observations.items()}, net.initial_state(1))[0]
+    log_probs = distribution.log_prob(episodes[0].actions).sum(-1)[0].detach()
+    episodes[0].log_probs = log_probs - torch.tensor([0.5, 0.5, -0.5, 0.05])  # log ratios
+    expected = -np.mean([1.2 * 1, math.exp(0.5) * -1, math.exp(-0.5) * 2, math.exp(0.05) * -0.5])
+    assert ppo.losses(net, ppo.pad(episodes, [A]), 0.2)[0].item() == pytest.approx(expected, rel=1e-4)
+
+
+def collect(collector, least):
+    """(Episode, info) pairs, until `least` of them have ended."""
+    ended = []
+    while len(ended) < least:
+        ended += collector.step()
+    return ended
+
+
+def test_the_first_minibatch_between_two_updates_has_ratio_1_and_kl_0():
+    net = network()
+    torch.nn.init.orthogonal_(net.action.weight)  # so that the memory shows in the actions
+    collector = ppo.Collector(navbot_min.NavVecEnv(4, max_episode_steps=25), net, 0.01, seed=0)
+    episodes = [episode for episode, _ in collect(collector, 8)]
+    batch = ppo.pad(episodes, [torch.zeros(len(e)) for e in episodes])
+    distribution, values, _ = net(batch["observations"], net.initial_state(len(episodes)), batch["mask"])
+    r = (distribution.log_prob(batch["actions"]).sum(-1) - batch["log_probs"]).exp()[batch["mask"]]
+    assert (r - 1).abs().max() < 1e-4 and len({len(e) for e in episodes}) > 1
+    assert abs(ppo.losses(net, batch, 0.2)[2]["kl"]) < 1e-6
+    for m, episode in enumerate(episodes):  # memory was cleared: values are those of fresh episodes
+        assert torch.allclose(values[m, :len(episode)], episode.values, atol=1e-4)
+
+
+def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_limit():
+    net, last = network(), {}
+    env = navbot_min.NavVecEnv(4, max_episode_steps=12)
+    collector, step = ppo.Collector(env, net, 0.01, seed=0), env.step
+
+    def spy(actions):
+        result = step(actions)
+        for r in np.flatnonzero(result[2] | result[3]):
+            info = result[4]
+            last[info["final_info"]["return"][r].item()] = info["final_obs"][r]
+        return result
+    env.step = spy
+    outcomes = set()
+    for episode, info in collect(collector, 10):
+        outcomes.add(info["outcome"] == "timeout")
+        final = last[info["return"]]
+        whole = {key: torch.cat([x, torch.as_tensor(final[key])[None]])[None]
+                 for key, x in episode.observations.items()}
+        expected = net(whole, net.initial_state(1))[1][0, -1].item() if info["outcome"] == "timeout" else 0
+        assert episode.last_value == pytest.approx(expected, abs=1e-4)
+        assert episode.rewards.sum() == pytest.approx(0.01 * info["return"], abs=1e-4)
+    assert outcomes == {True, False}
+
+
+class Cue(VectorEnv):
+    """A cue shown at the first step alone; the second and last action is paid by its sign."""
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    num_envs, max_episode_steps = 32, 2
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.t = 0
+        self.cue = self.np_random.choice([-1.0, 1.0], self.num_envs)
+        return self.look(), {}
+
+    def look(self):
+        target = np.zeros((self.num_envs, 2), np.float32)
+        target[:, 1] = self.cue * (self.t == 0)
+        return {"image": np.zeros((self.num_envs, 48, 64, 3), np.uint8), "target": target,
+                "velocity": np.zeros((self.num_envs, 2), np.float32),
+                "reward": np.zeros((self.num_envs, 1), np.float32)}
+
+    def step(self, actions):
+        self.t += 1
+        done = np.full(self.num_envs, self.t == 2)
+        reward = self.cue * np.clip(actions[:, 1], -1, 1) * done
+        infos = {"final_info": {"outcome": np.sign(reward)}} if done[0] else {}
+        observations = self.reset()[0] if done[0] else self.look()
+        return observations, reward, done, np.zeros_like(done), infos
+
+
+def test_a_cue_at_the_first_step_is_learnt_by_the_lstm_and_not_without_memory():
+    config, paid = train.Config(epochs=6, minibatches=1, lam=1.0), {}
+    for memory in ("stacked", "none"):
+        net, rng = network(memory), np.random.default_rng(0)
+        optimizer = torch.optim.Adam(net.parameters(), lr=2e-3)
+        collector = ppo.Collector(Cue(), net, 1.0, seed=0)
+        for _ in range(10):
+            ended = collect(collector, 32)
+            ppo.update(net, optimizer, [episode for episode, _ in ended], config, rng)
+        paid[memory] = np.mean([info["outcome"] for _, info in collect(collector, 256)])
+    assert paid["stacked"] > 0.8 and abs(paid["none"]) < 0.3, paid
+
+
+# ------------------------------------------------------------------------- training and evaluation
+
+
+TINY = ["--steps", "600", "--robots", "8", "--episodes-per-update", "8", "--evaluation-episodes", "4"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two tiny trainings with one seed, in one folder, as a user starts them."""
+    folder, outputs = tmp_path_factory.mktemp("runs"), []
+    for _ in range(2):
+        outputs.append(subprocess.run(
+            [sys.executable, str(ROOT / "train.py"), "--env", "env1", *TINY, "--json"],
+            cwd=folder, capture_output=True, text=True, timeout=80))
+    return folder / "runs", outputs
+
+
+def test_training_leaves_a_whole_run_folder_and_overwrites_none(runs):
+    folder, outputs = runs
+    assert [done.returncode for done in outputs] == [0, 0], outputs[0].stderr
+    assert sorted(run.name for run in folder.iterdir()) == ["env1-seed0", "env1-seed0-2"]
+    for run, done in zip(sorted(folder.iterdir()), outputs):
+        assert sorted(file.name for file in run.iterdir()) == [
+            "config.json", "curves.png", "episodes.csv", "evaluation.json", "model.pt",
+            "summary.json", "updates.csv"]
+        summary = json.loads((run / "summary.json").read_text())
+        assert json.loads(done.stdout) == summary and str(run.name) in done.stderr
+        assert list(summary) == ["env", "seed", "steps", "episodes", "seconds", "stopped_by_rule",
+                                 "rolling_new_success", "frozen"]
+        assert summary["frozen"] == json.loads((run / "evaluation.json").read_text())
+        rows = list(csv.DictReader(open(run / "episodes.csv")))
+        assert len(rows) == summary["episodes"] and int(rows[-1]["steps"]) <= summary["steps"] == 600
+        assert {row["kind"] for row in rows} == {"training", "new"}
+
+
+def test_the_same_seed_writes_the_same_episodes_byte_for_byte(runs):
+    first, second = [(run / "episodes.csv").read_bytes() for run in sorted(runs[0].iterdir())]
+    assert first == second and len(list(csv.reader(first.decode().splitlines()))) > 20
+
+
+def test_a_saved_model_acts_as_before(runs):
+    folder = sorted(runs[0].iterdir())[0]
+    saved = torch.load(folder / "model.pt", weights_only=True)
+    scene = sim.parse_scene(saved["scene"], saved["scene"]["name"])
+    assert scene == ENV1
+    net = model.Network(saved["memory"])
+    net.load_state_dict(saved["weights"])
+    again = evaluate.evaluate(net, scene, 4, seed=0)
+    written = json.loads((folder / "evaluation.json").read_text())
+    for target in written["targets"]:
+        target.pop("mean_action_arrives")
+    assert again == written
+
+
+def test_new_targets_never_reach_an_update(monkeypatch):
+    learnt, scene = [], ENV1
+    monkeypatch.setattr(train, "update", lambda model, optimizer, episodes, *_: (
+        learnt.extend(e.observations["target"][0, 0].item() for e in episodes)) or {})
+
+    class Nowhere:
+        def add_row(self, name, row):
+            pass
+    config = train.Config(steps=1200, robots=8, episodes_per_update=8)
+    record = train.train(config, scene, Nowhere())[1]
+    away = [np.hypot(*(np.array(t) - scene.start[:2])) for t in scene.training_targets]
+    assert {row["kind"] for row in record.episodes} == {"training", "new"} and len(learnt) >= 16
+    assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)
+
+
+@pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])
+def test_the_rule_is_more_than_60_of_the_last_100_test_episodes(arrivals, misses, met):
+    record = train.Record(ENV1)
+    info = {"new": True, "target": 2, "return": 0.0, "length": 5}
+    for outcome in ["collision"] * misses + ["arrival"] * arrivals:
+        record.add(info | {"outcome": outcome})
+        record.add(info | {"outcome": "arrival", "new": False, "target": 0})  # does not count
+    assert record.rule_is_met() is met
+
+
+@pytest.mark.parametrize("successes, n, low, high", [
+    (81, 100, 0.722, 0.875), (0, 20, 0.0, 0.161), (20, 20, 0.839, 1.0), (0, 0, 0.0, 1.0)])
+def test_wilson_intervals_have_their_known_values(successes, n, low, high):
+    assert evaluate.wilson(successes, n) == pytest.approx((low, high), abs=5e-4)
+
+
+def test_a_frozen_evaluation_counts_its_quota_and_changes_nothing():
+    net = network()
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    result = evaluate.evaluate(net, ENV2, episodes=13, seed=3)
+    assert [target["n"] for target in result["targets"]] == 3 * [2] + 7 * [1] + [7, 6]
+    assert (result["training"]["n"], result["new"]["n"]) == (13, 13)
+    for row in (result["training"], result["new"], *result["targets"]):
+        assert row["success"] + row["collision"] + row["timeout"] == pytest.approx(1)
+    assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+
+
+# ------------------------------------------------------------------------------- what users meet
+
+
+def bad_call(capsys, main, arguments):
+    """The one line that a bad command line prints."""
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    printed = capsys.readouterr()
+    assert stop.value.code == 2 and printed.out == "" and printed.err.count("\n") == 1
+    return printed.err
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--env", "env9"], ["unknown env 'env9'", "env1, env2"]),
+    (["--sed", "1"], ["'--sed'", "known are", "--seed"]),
+    (["--robots", "0"], ["--robots is 0", "from 1 up"]),
+    (["--learning-rate", "-0.1"], ["--learning-rate is -0.1", "from 1e-09 to 1.0"]),
+    (["--gamma", "nan"], ["--gamma is nan", "from 0.0 to 1.0"]),
+    (["--memory", "elephant"], ["'elephant'", "'stacked', 'single', 'none'"]),
+    (["--steps", "many"], ["--steps", "'many'"]),
+    (["--out", "taken"], ["--out 'taken' exists already"]),
+    (["--env", "bad.toml"], ["bad.toml", "new_targets[0]", "cannot be reached"]),
+    (["--env", "broken.toml"], ["broken.toml"])])
+def test_bad_input_to_train_is_one_line_and_leaves_no_folder(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").mkdir()
+    text = (ROOT / "scenes" / "env1.toml").read_text()
+    (tmp_path / "bad.toml").write_text(text.replace("[[-3.0, -2.2]]", "[[-3.0, 5.0]]"))
+    (tmp_path / "broken.toml").write_text("start = [")
+    printed = bad_call(capsys, train.main, arguments)
+    assert all(word in printed for word in words), printed
+    assert not (tmp_path / "runs").exists() and not list((tmp_path / "taken").iterdir())
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--env", "env9"], "unknown env 'env9'"), (["--episodes", "0"], "--episodes"),
+    (["--out", "no/such/folder.png"], "no/such/folder.png")])
+def test_bad_input_to_the_demo_is_one_line(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert words in bad_call(capsys, navbot_min.main, arguments)
+
+
+def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
+    code = ("import sys; sys.modules['torch'] = None; import navbot_min; "
+            f"navbot_min.main(['--env', 'env2', '--out', r'{tmp_path / 'demo.png'}'])")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.count("episode ") == 6, done.stderr
+    assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def readme_table(heading):
+    """The rows of the README's table whose header starts with that word."""
+    text = (ROOT / "README.md").read_text()
+    rows = re.search(rf"^\| {heading}.*\n\|[-| ]+\n((?:\|.*\n)+)", text, re.M)[1].splitlines()
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+
+
+def test_imports_are_those_of_the_readmes_table():
+    ours = {path.stem for path in ROOT.glob("*.py")}
+    for name, _, allowed, *_ in readme_table("file"):
+        name = name.strip("`")
+        if not name.endswith(".py") or name == "test_all.py":
+            continue
+        tree, found = ast.parse((ROOT / name).read_text()), set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                found.add(node.module.split(".")[0])
+        assert found & ours == set(re.findall(r"\w+", allowed)), name
+        assert not ("torch" in found and "pymunk" in found), name
+        if name in ("sim.py", "render.py", "navbot_min.py"):
+            assert "torch" not in found
+
+
+def test_the_readmes_files_and_commands_exist():
+    text = (ROOT / "README.md").read_text()
+    for name in re.findall(r"`([\w./]+\.(?:py|toml|csv|png|txt|md))`", text) + re.findall(r"\]\(([\w./]+)\)", text):
+        assert (ROOT / name).exists() or name in {"curves.png", "episodes.csv", "updates.csv", "demo.png"}, name
+    for script, flags in re.findall(r"python (\w+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)", text):
+        source = (ROOT / script).read_text()
+        for flag in re.findall(r"--([\w-]+)", flags):
+            assert flag in source or flag.replace("-", "_") in source, (script, flag)
+    makefile = (ROOT / "Makefile").read_text()
+    for target in re.findall(r"^ *make (\w+)", text, re.M):
+        assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_the_lesson_stays_short():
+    lines = {name: (ROOT / name).read_text().splitlines() for name in LESSON}
+    assert sum(len(text) for text in lines.values()) < 1300
+    assert max(len(line) for text in lines.values() for line in text) <= 100
