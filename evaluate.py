@@ -1,4 +1,4 @@
-"""What a frozen policy can do: fresh episodes, outcomes and intervals; and the curves of training."""
+"""What a frozen policy can do: fresh episodes, outcomes, intervals; and the curves of training."""
 
 import csv
 import math
@@ -49,7 +49,8 @@ def rollouts(model, scene, quotas, actions, seed):
             state[r] = 0
             if quota[r]:
                 quota[r] -= 1
-                episodes.append({key: value[r].item() for key, value in infos["final_info"].items()})
+                info = infos["final_info"]
+                episodes.append({key: value[r].item() for key, value in info.items()})
     return episodes
 
 
@@ -81,23 +82,37 @@ def evaluate(model, scene, episodes=1000, actions="sampled", seed=0):
     return {"protocol": "paper", "actions": actions,
             "training": summarise([e for e in done if not e["new"]]),
             "new": summarise([e for e in done if e["new"]]),
-            "targets": [{"x": float(x), "y": float(y), "kind": "new" if k >= counts[0] else "training",
+            "targets": [{"x": float(x), "y": float(y),
+                         "kind": "training" if k < counts[0] else "new",
                          **summarise([e for e in done if e["target"] == k])}
                         for k, (x, y) in enumerate(scene.targets)]}
 
 
-def report(result):
-    """The evaluation as lines of text, a target a line."""
+def table(result):
+    """An evaluation as lines of text: all targets of a kind, then a target a line."""
     lines = []
     for name, row in [(f"all {kind} targets", result[kind]) for kind in ("training", "new")] + [
             (f"{t['kind']} ({t['x']}, {t['y']})", t) for t in result["targets"]]:
         time = f"{row['seconds_to_arrive']:.1f} s" if row["seconds_to_arrive"] else "-"
-        lines.append(f"{name:24} success {row['success']:6.1%} [{row['low']:.1%}, {row['high']:.1%}]"
-                     f"  collision {row['collision']:6.1%}  timeout {row['timeout']:6.1%}"
-                     f"  time {time}  n {row['n']}")
+        lines.append(f"{name:23}  success {row['success']:6.1%} [{row['low']:.1%}, "
+                     f"{row['high']:.1%}]  collision {row['collision']:6.1%}"
+                     f"  timeout {row['timeout']:6.1%}  arrives in {time}  n {row['n']}")
         if "mean_action_arrives" in row:
             lines[-1] += "  mean action " + ("arrives" if row["mean_action_arrives"] else "fails")
     return "\n".join(lines)
+
+
+def report(summary):
+    """What a training run says at its end: the rolling number that it stopped on and the frozen one
+    side by side, then the table of the frozen evaluation."""
+    why = "by the paper's rule" if summary["stopped_by_rule"] else "before the paper's rule was met"
+    rolling, new = summary["rolling_new_success"], summary["frozen"]["new"]
+    rolling = "no episode" if rolling is None else f"{rolling:.0%} of the last 100 episodes"
+    return (f"stopped {why}: {summary['steps']:,} steps, {summary['episodes']:,} episodes, "
+            f"{summary['seconds']:.0f} s\n"
+            f"success on new targets: while training {rolling} | frozen {new['success']:.1%} "
+            f"[{new['low']:.1%}, {new['high']:.1%}] of {new['n']:,} fresh episodes\n"
+            + table(summary["frozen"]))
 
 
 def draw_curves(episodes, env, stop_rate):
@@ -115,9 +130,9 @@ def draw_curves(episodes, env, stop_rate):
         window = SPACING.get(env, {}).get(kind, 100)
         ends = [*range(window, len(rows), window), len(rows)] if rows else []
         arrived = [row["outcome"] == "arrival" for row in rows]
+        returns = [row["return"] for row in rows]
         ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
-                "mean_return": [np.mean([row["return"] for row in rows[(n - 1) // window * window:n]])
-                                for n in ends]}
+                "mean_return": [np.mean(returns[(n - 1) // window * window:n]) for n in ends]}
         for row, (key, label, scale) in enumerate((
                 ("success_last_100", "success rate, last 100 episodes [%]", 100),
                 ("mean_return", "average reward of an episode", 1))):

@@ -3,8 +3,8 @@
 It maps what the robot has seen so far to a distribution over actions, Eq. (1), in the action units
 of the task: linear velocity in [0, 1], angular in [-1, 1].
 
-Axis letters: M episodes, T steps, B = real (not padded) steps, H = 48, W = 64. While the robot drives
-T = 1 and M is the number of robots.
+Axis letters: M episodes, T steps, B = real (not padded) steps, H = 48, W = 64. While robots drive,
+T = 1 and M is their number.
 """
 
 import torch
@@ -34,8 +34,8 @@ class Memory(nn.Module):
     def __init__(self, inputs, recurrent):
         super().__init__()
         self.recurrent = recurrent
-        layer = nn.LSTM(inputs, HIDDEN, batch_first=True) if recurrent else nn.Linear(inputs, HIDDEN)
-        self.layer = orthogonal(layer)
+        self.layer = orthogonal(nn.LSTM(inputs, HIDDEN, batch_first=True) if recurrent
+                                else nn.Linear(inputs, HIDDEN))
 
     def forward(self, x, state):
         """(M, T, inputs), state (M, 2, HIDDEN) -> (M, T, HIDDEN), state."""
@@ -75,6 +75,7 @@ class Network(nn.Module):
         self.value = orthogonal(nn.Linear(HIDDEN, 1))
         self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
         self.register_buffer("command_scale", torch.tensor(command_scale))
+        self.register_buffer("target_scale", torch.tensor((1.0, torch.pi)))  # [m, rad] our choice
 
     def initial_state(self, M):
         """The memory (M, layers, 2, HIDDEN) before an episode's first step: zeros."""
@@ -82,14 +83,15 @@ class Network(nn.Module):
 
     def see(self, images):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
-        return self.cnn(images.permute(0, 3, 1, 2).float().mul_(1 / 255))  # channels stay last in memory
+        x = images.permute(0, 3, 1, 2).float().mul_(1 / 255)  # channels stay last in memory
+        return self.cnn(x)
 
     @torch.no_grad()
     def act(self, observations, state, generator=None):
         """One step of M robots: what the environment shows (M, ...), as arrays, and the memory ->
-        mean actions (M, 2), sampled actions (M, 2), the samples' log-probabilities (M,), values (M,),
-        memory. A sample may lie outside the actions' bounds: the environment clips it, but the
-        log-probability is that of the sample itself.
+        mean actions (M, 2), sampled actions (M, 2), the samples' log-probabilities (M,), values
+        (M,), memory. A sample may lie outside the actions' bounds: the environment clips it, but
+        its log-probability is that of the sample as drawn.
         """
         observations = {key: torch.as_tensor(value)[:, None] for key, value in observations.items()}
         distribution, values, state = self(observations, state)
@@ -109,7 +111,7 @@ class Network(nn.Module):
         features[real] = self.see(image[real])  # (M, T, FEATURES)
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
-        x, states = torch.cat([features, observations["target"]], -1), []
+        x, states = torch.cat([features, observations["target"] / self.target_scale], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):

@@ -7,7 +7,6 @@ Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
 
 import argparse
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -58,7 +57,8 @@ class NavVecEnv(VectorEnv):
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
     render_mode = None
 
-    def __init__(self, num_envs=32, env="env1", targets="both", max_episode_steps=MAX_EPISODE_STEPS):
+    def __init__(self, num_envs=32, env="env1", targets="both",
+                 max_episode_steps=MAX_EPISODE_STEPS):
         """env: a scene's name, path or Scene, or a list of these that robots take in turn.
         targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
         or (R,) indices into `scene.targets`, one for each robot.
@@ -192,7 +192,8 @@ class NavEnv(gym.Env):
         """As in NavVecEnv; `info` holds the episode's `outcome` and so on when it ends."""
         if not self._under_way:
             raise ResetNeeded("step() was called before reset(), or after the episode's end")
-        observations, reward, terminated, truncated, infos = self.vector.step(np.asarray(action)[None])
+        action = np.asarray(action)[None]
+        observations, reward, terminated, truncated, infos = self.vector.step(action)
         observation = {key: value[0] for key, value in observations.items()}
         info = {"pose": infos["pose"][0]}
         if terminated[0] or truncated[0]:
@@ -252,7 +253,8 @@ def draw_demo(scene, episodes, path):
     draw_map(axes, scene)
     axes.add_patch(Circle(scene.start[:2], ROBOT_RADIUS, color="#333333"))
     for poses, _, info in episodes:
-        axes.plot(*poses[:, :2].T, color="#12913a" if info["outcome"] == "arrival" else "#d62728", lw=2)
+        colour = "#12913a" if info["outcome"] == "arrival" else "#d62728"
+        axes.plot(*poses[:, :2].T, color=colour, lw=2)
     axes.set_title(f"{scene.name}: paths from the start (black), red to a collision\n"
                    "training targets blue, new ones green", fontsize=11)
     images = episodes[-1][1]
@@ -267,27 +269,21 @@ def main(argv=None):
     """The command line: a demonstration of the world that needs no torch."""
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
     parser.add_argument("--env", default="env1", help="a scene's name, or a path to a scene file")
-    parser.add_argument("--episodes", type=int, default=6, help="episodes to drive, from 1 up")
-    parser.add_argument("--out", default="demo.png", help="where the picture is written")
     options = parser.parse(argv)
-    if options.episodes < 1:
-        parser.error(f"--episodes is {options.episodes}, it must be from 1 up")
-    if not Path(options.out).parent.is_dir():
-        parser.error(f"--out '{options.out}' lies in a folder that does not exist")
     try:
         env = NavEnv(options.env)
     except SceneError as error:
         parser.error(error)
     scene, episodes = env.vector.world.scenes[0], []
-    for k in range(options.episodes):
+    for k in range(6):
         episodes.append(drive_episode(env, seed=0 if k == 0 else None))
         info = episodes[-1][2]
         x, y = scene.targets[info["target"]]
         print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target ({x}, {y}): "
               f"{info['outcome']} after "
               f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
-    draw_demo(scene, episodes, options.out)
-    print(f"wrote {options.out}: the map with the paths, and what the camera saw")
+    draw_demo(scene, episodes, "demo.png")
+    print("wrote demo.png: the map with the paths, and what the camera saw")
 
 
 if __name__ == "__main__":

@@ -60,12 +60,13 @@ class Collector:
         _, actions, log_probs, values, self._state = self.model.act(seen, self._state)
         self._observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
         self._store(actions=actions, log_probs=log_probs, values=values,
-                    rewards=torch.as_tensor(rewards, dtype=torch.float32) * self.reward_scale, **seen)
+                    rewards=(rewards * self.reward_scale).astype(np.float32), **seen)
         self._length += 1
         last_values = self._last_values(truncated, infos)
         ended = []
         for r in np.flatnonzero(terminated | truncated):
-            steps = {name: value[r, :self._length[r]].clone() for name, value in self._steps.items()}
+            T = self._length[r]
+            steps = {name: value[r, :T].clone() for name, value in self._steps.items()}
             observations = {name: steps.pop(name) for name in seen}
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
             ended.append((Episode(observations, **steps, last_value=last_values[r]), info))
@@ -85,8 +86,8 @@ class Collector:
 
 
 def advantages(rewards, values, last_value, gamma, lam):
-    """Generalised advantage estimation (Schulman et al. 2016): A_t = sum_k (gamma lam)^k delta_{t+k},
-    delta_t = r_t + gamma V_{t+1} - V_t, over one episode.
+    """Generalised advantage estimation (Schulman et al. 2016) over one episode:
+    A_t = sum_k (gamma lam)^k delta_{t+k}, delta_t = r_t + gamma V_{t+1} - V_t.
 
     rewards, values: (T,). last_value is V_T: the value of the last observation where time ran out,
     0 where the episode was terminated. Returns (T,).
@@ -100,7 +101,7 @@ def advantages(rewards, values, last_value, gamma, lam):
 
 
 def pad(episodes, batch_advantages):
-    """A minibatch of M episodes, padded with zeros to the longest: a dict of (M, T, ...) tensors."""
+    """M episodes as one minibatch, padded with zeros to the longest: a dict of (M, T, ...)."""
     def stack(sequences):
         return pad_sequence(list(sequences), batch_first=True)
     return {

@@ -37,7 +37,7 @@ def light(normal):
 
 
 def texture(material):
-    """(PERIOD, ABOVE, 3) colours [0, 255] of a wall, by place along it and height, both in texels."""
+    """(PERIOD, ABOVE, 3) colours [0, 255] of a wall, by texels along it and above its foot."""
     rng = np.random.default_rng(sum(material.encode()))
     u, v = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")
     if material == "wall":  # grey-brown ceiling tiles, 0.6 m, grainy
@@ -47,7 +47,8 @@ def texture(material):
         course = v // 4
         brick = (u + 6 * (course % 2)) // 12 % (PERIOD // 12)
         tone = rng.normal(0, 1, (PERIOD // 12, ABOVE // 4, 1))[brick, course]
-        colour = np.array((178, 74, 62)) + tone * (22, 14, 14) + rng.normal(0, 6, (PERIOD, ABOVE, 1))
+        colour = np.array((178, 74, 62)) + tone * (22, 14, 14)
+        colour += rng.normal(0, 6, (PERIOD, ABOVE, 1))
         colour[((u + 6 * (course % 2)) % 12 == 0) | (v % 4 == 0)] = (176, 158, 150)
     else:  # wood: upright orange-brown planks of 15 cm with grain along them
         tone = rng.normal(0, 14, (PERIOD // 6, 1))[u // 6]
@@ -61,7 +62,7 @@ class Camera:
     """Paints what robots see in the given rooms. Raises nothing: any pose gives an image."""
 
     def __init__(self, rooms):
-        """rooms: Scenes (anything with `.boxes`); a robot's room is then an index into them."""
+        """rooms: Scenes; a robot's room is an index into them. Tops are rounded to a texel."""
         most = max(len(room.boxes) for room in rooms)
         shape = (len(rooms), most, 4)
         self._corners = np.zeros((*shape, 2), np.float32)  # boxes that a room lacks have no size,
@@ -165,16 +166,16 @@ class Camera:
         visible = ((normal * p).sum(-1) < -1e-6) & (ahead | ahead[:, :, (1, 2, 3, 0)])
         visible &= (left >= RAY[-1]) & (right <= RAY[0])
         visible = visible.reshape(len(room), -1)
-        most = max(1, visible.sum(1).max())
-        pick = np.argsort(~visible, axis=1, kind="stable")[:, :most]
-        rows = np.arange(len(room))[:, None]
-        shown = visible[rows, pick]
-        span = np.stack([left, right], -1).reshape(len(room), -1, 2)[rows, pick]
-        span[~shown] = (-np.inf, np.inf)
-        flat = [array.reshape(len(room), -1, *array.shape[3:])[rows, pick]
-                for array in (normal, p, self._tops[room], self._lit[room])]
-        flat[0][~shown], flat[1][~shown] = (1, 0), (-1, 0)  # keeps the division that follows tame
-        return flat[0], flat[1], span, flat[2], flat[3]
+        order = np.argsort(~visible, axis=1, kind="stable")[:, :max(1, visible.sum(1).max())]
+
+        def pick(faces):  # (R, B, 4, ...) -> (R, K, ...), each robot's visible faces first
+            faces = faces.reshape(len(room), -1, *faces.shape[3:])
+            return faces[np.arange(len(room))[:, None], order]
+        normal, p, span = pick(normal), pick(p), pick(np.stack([left, right], -1))
+        hidden = ~pick(visible.reshape(left.shape))
+        span[hidden] = (-np.inf, np.inf)  # no ray is between these, and
+        normal[hidden], p[hidden] = (1, 0), (-1, 0)  # no division by zero comes from those
+        return normal, p, span, pick(self._tops[room]), pick(self._lit[room])
 
     def _paint_cube(self, index, depth, offset, c, s):
         """Paints the target cubes, (R, 2) `offset` from the cameras, over `index` in place."""
@@ -201,7 +202,7 @@ class Camera:
 
 
 def draw_map(axes, scene):
-    """Draws a scene from above on matplotlib axes, targets as in Fig. 3: training blue, new green."""
+    """Draws a scene from above on matplotlib axes, training targets blue, new green (Fig. 3)."""
     colours = {"wall": "#b9b0a8", "brick": "#b24a3e", "wood": "#ce7e30"}
     for box in scene.boxes:
         axes.fill(*box.corners.T, color=colours[box.material])

@@ -55,8 +55,8 @@ class Box:
     def corners(self):
         """(4, 2) corners [m], counter-clockwise."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        half = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (self.length / 2, self.thickness / 2)
-        return half @ np.array([(c, s), (-s, c)]) + (self.x, self.y)
+        own = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (self.length / 2, self.thickness / 2)
+        return own @ np.array([(c, s), (-s, c)]) + (self.x, self.y)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def parse_scene(table, name):
     offset = _numbers(table.get("offset", (0, 0)), 2, "offset")
     boxes = tuple(_parse_box(box, offset, f"boxes[{k}]") for k, box in enumerate(table["boxes"]))
     start = _numbers(table["start"], 3, "start")
-    training, new = (tuple(_numbers(target, 2, f"{key}[{k}]") for k, target in enumerate(table[key]))
+    training, new = (tuple(_numbers(xy, 2, f"{key}[{k}]") for k, xy in enumerate(table[key]))
                      for key in lists[1:])
     scene = Scene(name, boxes, start, training, new)
     _check(scene.clearance(start[:2]) > ROBOT_RADIUS,
@@ -173,7 +173,7 @@ def parse_scene(table, name):
             _check(scene.clearance(target) > 0, f"{what} is inside a box")
             _check(np.hypot(*(reachable - target).T).min(initial=np.inf) < ARRIVAL_DISTANCE,
                    f"{what} cannot be reached from the start")
-            _check(targets is training or target not in training, f"{what} is a training target too")
+            _check(targets is training or target not in training, f"{what} is a training one too")
     return scene
 
 
@@ -183,7 +183,7 @@ def load_scene(env):
     path = path if path.is_file() else Path(env)
     if not path.is_file():
         names = ", ".join(sorted(known.stem for known in SCENE_FOLDER.glob("*.toml")))
-        raise SceneError(f"unknown env '{env}': it must be one of {names}, or a path to a scene file")
+        raise SceneError(f"unknown env '{env}': it must be one of {names}, or a scene file's path")
     try:
         return parse_scene(tomllib.loads(path.read_text(encoding="utf-8")), path.stem)
     except (SceneError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -210,8 +210,8 @@ class World:
             disc.filter, disc.collision_type = _ROBOTS, _ROBOT_TYPE
             self.space.add(body, disc)
             self._index[body] = r
-        # One row a body, as pymunk's batch functions move them. The last is the space's static body,
-        # which carries the walls and has to stay at zero.
+        # One row a body, as pymunk's batch functions move them. The last is the space's static
+        # body, which carries the walls and has to stay at zero.
         self._rows = np.zeros((len(self.scenes) + 1, 6))
         self._to_space, self._from_space = batch.Buffer(), batch.Buffer()
         self._to_space.set_float_buf(self._rows)
@@ -289,8 +289,8 @@ class World:
         readings = np.full((len(self.scenes), len(angles)), float(max_range))
         for r, (x, y, theta) in enumerate(self._rows[:-1, :3]):
             for k, angle in enumerate(angles):
-                end = (x + max_range * math.cos(theta + angle), y + max_range * math.sin(theta + angle))
+                way = math.cos(theta + angle), math.sin(theta + angle)
+                end = x + max_range * way[0], y + max_range * way[1]
                 hit = self.space.segment_query_first((x, y), end, 0, _ROBOTS)
-                if hit:
-                    readings[r, k] *= hit.alpha
+                readings[r, k] *= hit.alpha if hit else 1
         return readings

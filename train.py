@@ -72,7 +72,7 @@ def read_config(argv):
             valid = f"from {low} up" if high is None else f"from {low} to {high}"
             parser.error(f"{flag} is {value}, it must be {valid}")
     if config.out and Path(config.out).exists():
-        parser.error(f"--out '{config.out}' exists already; nothing is overwritten, name a new folder")
+        parser.error(f"--out '{config.out}' exists already, it must name a new folder")
     return config, parser
 
 
@@ -80,16 +80,10 @@ class RunFolder:
     """The files of one run. Nothing that exists is overwritten, nothing is left half-written."""
 
     def __init__(self, config, scene):
-        name = f"runs/{scene.name}-seed{config.seed}"
+        name = config.out or f"runs/{scene.name}-seed{config.seed}"
         names = chain([name], (f"{name}-{copy}" for copy in count(2)))
-        for name in [config.out] if config.out else names:
-            self.path = Path(name)
-            try:
-                self.path.mkdir(parents=True)
-                break
-            except FileExistsError:
-                if config.out:
-                    raise
+        self.path = next(path for path in map(Path, names) if not path.exists())
+        self.path.mkdir(parents=True)
         self._tables = {}
         self.write("config.json", json.dumps(asdict(config), indent=2))
 
@@ -137,8 +131,8 @@ class Record:
 
     def rates(self):
         """Both success rates, as the progress bar shows them."""
-        return {f"{kind} targets": "-" if self.success(kind) is None else f"{self.success(kind):.0%}"
-                for kind in self._last}
+        return {f"{kind} targets": f"{self.success(kind):.0%}" for kind in self._last
+                if self._last[kind]}
 
     def rule_is_met(self):
         """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
@@ -151,12 +145,12 @@ def train(config, scene, folder):
     rng = np.random.default_rng(config.seed)
     model = Network(config.memory)
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5)
-    env = NavVecEnv(config.robots, scene, targets="both")  # line 3: p0 from the set P, training and new targets alike
+    env = NavVecEnv(config.robots, scene, targets="both")  # line 3: p0 is drawn from all targets
     collector = Collector(env, model, REWARD_SCALE, config.seed)
     record, buffer, start = Record(scene), [], time.perf_counter()
     bar = tqdm(total=config.steps, unit=" steps", file=sys.stderr, mininterval=0.5)
     try:
-        while record.steps < config.steps and not record.rule_is_met():
+        while record.steps < config.steps:
             record.steps += config.robots
             bar.update(config.robots)
             for episode, info in collector.step():
@@ -165,6 +159,8 @@ def train(config, scene, folder):
                     buffer.append(episode)
                 if record.rule_is_met():
                     break
+            if record.rule_is_met():
+                break
             if len(buffer) >= config.episodes_per_update:  # N of them stored
                 statistics = update(model, optimizer, buffer, config, rng)
                 buffer.clear()
@@ -173,7 +169,7 @@ def train(config, scene, folder):
                                                "steps_per_second": speed})
                 bar.set_postfix(record.rates())
     except KeyboardInterrupt:
-        bar.write("interrupted: what was learnt so far is saved", file=sys.stderr)
+        bar.write("interrupted: training ends here, and its policy is evaluated", file=sys.stderr)
     seconds = time.perf_counter() - start
     bar.set_postfix(record.rates())
     bar.close()
@@ -182,19 +178,6 @@ def train(config, scene, folder):
         "episodes": len(record.episodes), "seconds": round(seconds, 2),
         "stopped_by_rule": record.rule_is_met(), "rolling_new_success": record.success("new"),
         "frozen": None}
-
-
-def print_summary(summary, file):
-    """The rolling number that training stopped on and the frozen one, side by side, then targets."""
-    why = "by the paper's rule" if summary["stopped_by_rule"] else "before the paper's rule was met"
-    print(f"stopped {why}: {summary['steps']:,} steps, {summary['episodes']:,} episodes, "
-          f"{summary['seconds']:.0f} s", file=file)
-    rolling, new = summary["rolling_new_success"], summary["frozen"]["new"]
-    rolling = "no episode" if rolling is None else f"{rolling:.0%}"
-    print(f"success on new targets: {rolling} of the last {WINDOW} while training | "
-          f"{new['success']:.1%} [{new['low']:.1%}, {new['high']:.1%}] frozen, "
-          f"{new['n']:,} fresh episodes", file=file)
-    print(report(summary["frozen"]), file=file)
 
 
 def main(argv=None):
@@ -209,16 +192,20 @@ def main(argv=None):
     print(f"run folder: {folder.path}", file=messages)
     model, record, summary = train(config, scene, folder)
     folder.save_model(model, scene, record.steps)
-    folder.write("curves.png", lambda path: draw_curves(record.episodes, scene.name, SUCCESS_RATE).savefig(
-        path, format="png", dpi=110))
+    curves = draw_curves(record.episodes, scene.name, SUCCESS_RATE)
+    folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
-    summary["frozen"] = evaluate(model, scene, config.evaluation_episodes, seed=config.seed)
-    for target, mean in zip(summary["frozen"]["targets"], evaluate(model, scene, actions="mean")["targets"]):
+    try:
+        summary["frozen"] = evaluate(model, scene, config.evaluation_episodes, seed=config.seed)
+        by_mean = evaluate(model, scene, actions="mean")
+    except KeyboardInterrupt:
+        sys.exit("interrupted: the run is saved without its evaluation")
+    for target, mean in zip(summary["frozen"]["targets"], by_mean["targets"]):
         target["mean_action_arrives"] = mean["success"] == 1
     folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
     folder.write("summary.json", json.dumps(summary, indent=2))
-    print_summary(summary, messages)
+    print(report(summary), file=messages)
     if config.json:
         print(json.dumps(summary, indent=2))
 
