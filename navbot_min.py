@@ -55,7 +55,6 @@ class NavVecEnv(VectorEnv):
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
-    render_mode = None
 
     def __init__(self, num_envs=32, env="env1", targets="both",
                  max_episode_steps=MAX_EPISODE_STEPS):
@@ -247,9 +246,9 @@ def drive_episode(env, seed):
 
 def draw_demo(scene, episodes, path):
     """The map with every episode's path, beside frames of the last episode, as a PNG file."""
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.2))
-    axes = left.subplots()
+    figure, images = Figure(figsize=(13, 4.6), layout="constrained"), episodes[-1][1]
+    panels = figure.subplot_mosaic("m012\nm345", width_ratios=(2.6, 1, 1, 1))
+    axes = panels["m"]
     draw_map(axes, scene)
     axes.add_patch(Circle(scene.start[:2], ROBOT_RADIUS, color="#333333"))
     for poses, _, info in episodes:
@@ -257,11 +256,10 @@ def draw_demo(scene, episodes, path):
         axes.plot(*poses[:, :2].T, color=colour, lw=2)
     axes.set_title(f"{scene.name}: paths from the start (black), red to a collision\n"
                    "training targets blue, new ones green", fontsize=11)
-    images = episodes[-1][1]
-    for panel, t in zip(right.subplots(2, 3).flat, np.linspace(0, len(images) - 1, 6).astype(int)):
-        panel.imshow(images[t])
-        panel.set_title(f"the last episode after {t * CONTROL_PERIOD:.1f} s", fontsize=10)
-        panel.axis("off")
+    for name, t in zip("012345", np.linspace(0, len(images) - 1, 6).astype(int)):
+        panels[name].imshow(images[t])
+        panels[name].set_title(f"last episode, {t * CONTROL_PERIOD:.1f} s", fontsize=10)
+        panels[name].axis("off")
     figure.savefig(path, dpi=110)
 
 
@@ -272,17 +270,16 @@ def main(argv=None):
     options = parser.parse(argv)
     try:
         env = NavEnv(options.env)
-    except SceneError as error:
+        scene, episodes = env.vector.world.scenes[0], []
+        for k in range(6):
+            episodes.append(drive_episode(env, seed=0 if k == 0 else None))
+            info = episodes[-1][2]
+            print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target "
+                  f"{scene.targets[info['target']].tolist()}: {info['outcome']} after "
+                  f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
+        draw_demo(scene, episodes, "demo.png")
+    except (SceneError, OSError) as error:
         parser.error(error)
-    scene, episodes = env.vector.world.scenes[0], []
-    for k in range(6):
-        episodes.append(drive_episode(env, seed=0 if k == 0 else None))
-        info = episodes[-1][2]
-        x, y = scene.targets[info["target"]]
-        print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target ({x}, {y}): "
-              f"{info['outcome']} after "
-              f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
-    draw_demo(scene, episodes, "demo.png")
     print("wrote demo.png: the map with the paths, and what the camera saw")
 
 

@@ -143,7 +143,7 @@ def update(model, optimizer, episodes, config, rng):
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
     values = torch.cat([e.values for e in episodes])
     returns = torch.cat(A) + values
-    std, mean = torch.std_mean(torch.cat(A))
+    std, mean = torch.std_mean(torch.cat(A), correction=0)
     totals = {}
     for _ in range(config.epochs):
         order = rng.permutation(len(episodes))

@@ -62,20 +62,19 @@ class Camera:
     """Paints what robots see in the given rooms. Raises nothing: any pose gives an image."""
 
     def __init__(self, rooms):
-        """rooms: Scenes; a robot's room is an index into them. Tops are rounded to a texel."""
-        most = max(len(room.boxes) for room in rooms)
-        shape = (len(rooms), most, 4)
+        """rooms: Scenes; a robot's room is an index into them. Heights are rounded to a texel."""
+        shape = (len(rooms), max(len(room.boxes) for room in rooms), 4)
         self._corners = np.zeros((*shape, 2), np.float32)  # boxes that a room lacks have no size,
-        self._tops = np.zeros(shape, np.float32)           # and a face without size is never seen
+        self._tops = np.zeros(shape, np.int64)  # [texel]    and a face without size is never seen
         self._lit = np.zeros(shape, np.int64)  # where the face's lit texture starts in the palette
         lit = {}
         for i, room in enumerate(rooms):
             for b, box in enumerate(room.boxes):
                 self._corners[i, b] = box.corners
-                self._tops[i, b] = box.height
+                self._tops[i, b] = top = min(round(box.height / TEXEL), ABOVE)
                 for face, angle in enumerate(box.yaw + np.pi * np.array((0.5, 1, 1.5, 2))):
                     bright = light((np.cos(angle), np.sin(angle), 0)).round(1)  # few, to stay small
-                    key = (box.material, box.height, float(bright))
+                    key = (box.material, top, float(bright))
                     self._lit[i, b, face] = lit.setdefault(key, len(lit)) * PERIOD * (BELOW + ABOVE)
         self._palette = self._pack(lit)
 
@@ -83,9 +82,8 @@ class Camera:
         """One flat array of 32-bit colours: a texture column is floor, wall, sky from below up."""
         blocks = np.empty((len(lit) + 1, PERIOD, BELOW + ABOVE, 3))
         blocks[:, :, :BELOW], blocks[:, :, BELOW:] = FLOOR, SKY
-        for (material, height, bright), k in lit.items():
-            top = BELOW + min(round(height / TEXEL), ABOVE)
-            blocks[k, :, BELOW:top] = texture(material)[:, :top - BELOW] * bright
+        for (material, top, bright), k in lit.items():
+            blocks[k, :, BELOW:BELOW + top] = texture(material)[:, :top] * bright
         self._open = (len(blocks) - 1) * PERIOD * (BELOW + ABOVE)  # no wall: floor and sky alone
         faces = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
         cube = np.array([np.multiply(BLUE, light(normal)) for normal in faces])
@@ -140,7 +138,7 @@ class Camera:
             else:
                 index[columns] = np.where(above, base[:, None] + v, index[columns])
             top = tops[robot, face]
-            above &= v >= (np.round(top / TEXEL).astype(np.int64) + BELOW)[:, None]
+            above &= v >= BELOW + top[:, None]
             inverse = np.where(tops[robot] > top[:, None], inverse, np.float32(0))
             more = np.flatnonzero(inverse.max(1) > 0)
             columns = more if isinstance(columns, slice) else columns[more]
@@ -151,7 +149,7 @@ class Camera:
         """The faces that each camera may see, in its own frame (forward, left).
 
         Returns outward normals (R, K, 2) as long as the face, first ends (R, K, 2), the rays
-        through both ends (R, K, 2), tops (R, K) and lit textures (R, K).
+        through both ends (R, K, 2), tops [texel] (R, K) and lit textures (R, K).
         """
         offset = self._corners[room] - eye[:, None, None]  # (R, B, 4, 2)
         rotation = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)  # (R, 2, 2)

@@ -164,6 +164,8 @@ def parse_scene(table, name):
     training, new = (tuple(_numbers(xy, 2, f"{key}[{k}]") for k, xy in enumerate(table[key]))
                      for key in lists[1:])
     scene = Scene(name, boxes, start, training, new)
+    widest = np.ptp(scene.bounds, axis=0).max()
+    _check(widest <= 30, f"the boxes are spread over {widest:.1f} m, it must be at most 30 m")
     _check(scene.clearance(start[:2]) > ROBOT_RADIUS,
            f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
     reachable = scene.reachable()

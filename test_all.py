@@ -137,6 +137,7 @@ def test_rooms_are_the_papers(scene):
     (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
     (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2, it must be above 0.281"),
     (dict(boxes=[box(material="glass")]), "boxes[0].material is 'glass'"),
+    (dict(boxes=[*square_room()["boxes"], box(x=1e9)]), "spread over 1000000002.2 m"),
     (dict(boxes=[box(length="long")]), "boxes[0].length is 'long'"),
     (dict(boxes=[{}]), "boxes[0] has no 'material'"),
 ])

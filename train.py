@@ -118,9 +118,8 @@ class Record:
         """Adds an episode; returns its row of episodes.csv."""
         kind = "new" if info["new"] else "training"
         x, y = self.scene.targets[info["target"]]
-        row = {"steps": self.steps, "target_x": float(x), "target_y": float(y), "kind": kind,
-               "outcome": info["outcome"], "return": round(info["return"], 4),
-               "length": info["length"]}
+        row = {"steps": self.steps, "target_x": x.item(), "target_y": y.item(), "kind": kind}
+        row |= {key: info[key] for key in ("outcome", "return", "length")}
         self.episodes.append(row)
         self._last[kind].append(info["outcome"] == "arrival")
         return row
