@@ -14,6 +14,8 @@ from torch.distributions import Normal
 MEMORIES = ("stacked", "single", "none")
 HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
+IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
+TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
 INITIAL_STD = (0.25, 0.5)  # a quarter of the linear and half of the angular maximum, our choice
 
@@ -75,7 +77,6 @@ class Network(nn.Module):
         self.value = orthogonal(nn.Linear(HIDDEN, 1))
         self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
         self.register_buffer("command_scale", torch.tensor(command_scale))
-        self.register_buffer("target_scale", torch.tensor((1.0, torch.pi)))  # [m, rad] our choice
 
     def initial_state(self, M):
         """The memory (M, layers, 2, HIDDEN) before an episode's first step: zeros."""
@@ -83,8 +84,8 @@ class Network(nn.Module):
 
     def see(self, images):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
-        x = images.permute(0, 3, 1, 2).float().mul_(1 / 255)  # channels stay last in memory
-        return self.cnn(x)
+        x = images.permute(0, 3, 1, 2).float()  # channels stay last in memory
+        return self.cnn(x.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))
 
     @torch.no_grad()
     def act(self, observations, state, generator=None):
@@ -111,7 +112,7 @@ class Network(nn.Module):
         features[real] = self.see(image[real])  # (M, T, FEATURES)
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
-        x, states = torch.cat([features, observations["target"] / self.target_scale], -1), []
+        x, states = torch.cat([features, observations["target"] * TARGET_SCALE], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):
