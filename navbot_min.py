@@ -56,11 +56,13 @@ class NavVecEnv(VectorEnv):
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 
-    def __init__(self, num_envs=32, env="env1", targets="both",
+    def __init__(self, num_envs=32, env="env1", targets="both", random_starts=0.0,
                  max_episode_steps=MAX_EPISODE_STEPS):
         """env: a scene's name, path or Scene, or a list of these that robots take in turn.
         targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
         or (R,) indices into `scene.targets`, one for each robot.
+        random_starts: the fraction of the episodes to training targets that start anywhere
+        reachable, at any heading, 1 m or more from the target; all others start at the start pose.
         Raises ValueError for any of these that is not valid.
         """
         for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
@@ -69,6 +71,7 @@ class NavVecEnv(VectorEnv):
         envs = env if isinstance(env, (list, tuple)) else [env]
         rooms = [room if isinstance(room, Scene) else load_scene(room) for room in envs]
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.random_starts = random_starts
         self.room = np.arange(num_envs) % len(rooms)
         self.world = World([rooms[k] for k in self.room])
         self.camera = Camera(rooms)
@@ -111,8 +114,17 @@ class NavVecEnv(VectorEnv):
         self._target[robots] = [self.np_random.choice(self._choices[r]) for r in robots]
         self._targets[robots] = [scene.targets[k] for scene, k in zip(scenes, self._target[robots])]
         self._steps[robots], self._return[robots] = 0, 0
-        self.world.place(robots, np.array([scene.start for scene in scenes]))
+        self.world.place(robots, np.array([self._start(r) for r in robots]))
         return self._observe(robots, np.zeros((len(robots), 2)), np.zeros(len(robots)))
+
+    def _start(self, r):
+        """The pose at which robot r starts its episode."""
+        scene, rng = self.world.scenes[r], self.np_random
+        new = self._target[r] >= len(scene.training_targets)
+        if new or self.random_starts == 0 or rng.random() >= self.random_starts:
+            return scene.start
+        away = np.hypot(*(scene.reachable - self._targets[r]).T) >= 1
+        return (*rng.choice(scene.reachable[away]), rng.uniform(-np.pi, np.pi))
 
     def _observe(self, robots, velocity, reward):
         poses, targets = self.world.poses[robots], self._targets[robots]
@@ -175,8 +187,9 @@ class NavEnv(gym.Env):
 
     metadata = {"render_modes": []}
 
-    def __init__(self, env="env1", targets="both", max_episode_steps=MAX_EPISODE_STEPS):
-        self.vector = NavVecEnv(1, env, targets, max_episode_steps)
+    def __init__(self, env="env1", targets="both", random_starts=0.0,
+                 max_episode_steps=MAX_EPISODE_STEPS):
+        self.vector = NavVecEnv(1, env, targets, random_starts, max_episode_steps)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
         self._under_way = False

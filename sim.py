@@ -90,13 +90,14 @@ class Scene:
             nearest = np.minimum(nearest, outside + np.minimum(beyond.max(-1), 0))
         return nearest
 
-    def reachable(self, cell=0.025):
+    @cached_property
+    def reachable(self):
         """Centres (P, 2) [m] of the grid cells that the robot's disc can drive to from the start.
 
         A flood fill, so passages less than a cell wider than the robot may count as closed.
         Raises SceneError when the flood runs out of the room.
         """
-        low, high = self.bounds
+        (low, high), cell = self.bounds, 0.025
         x, y = (np.arange(a - cell, b + 2 * cell, cell) for a, b in zip(low, high))
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
         free = self.clearance(grid) > ROBOT_RADIUS
@@ -168,12 +169,11 @@ def parse_scene(table, name):
     _check(widest <= 30, f"the boxes are spread over {widest:.1f} m, it must be at most 30 m")
     _check(scene.clearance(start[:2]) > ROBOT_RADIUS,
            f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
-    reachable = scene.reachable()
     for key, targets in (("training_targets", training), ("new_targets", new)):
         for k, target in enumerate(targets):
             what = f"{key}[{k}] {target}"
             _check(scene.clearance(target) > 0, f"{what} is inside a box")
-            _check(np.hypot(*(reachable - target).T).min(initial=np.inf) < ARRIVAL_DISTANCE,
+            _check(np.hypot(*(scene.reachable - target).T).min(initial=np.inf) < ARRIVAL_DISTANCE,
                    f"{what} cannot be reached from the start")
             _check(targets is training or target not in training, f"{what} is a training one too")
     return scene

@@ -73,7 +73,7 @@ def test_a_robot_at_full_speed_never_crosses_the_thinnest_wall():
 
 def test_a_hit_is_reported_exactly_when_the_disc_would_overlap_a_box():
     rng = np.random.default_rng(0)
-    free = ENV1.reachable()
+    free = ENV1.reachable
     world = sim.World([ENV1] * 200)
     poses = np.c_[free[rng.integers(len(free), size=200)], rng.uniform(-np.pi, np.pi, 200)]
     world.place(slice(None), poses)
@@ -198,7 +198,7 @@ def test_images_are_those_of_the_slow_raycaster():
                                        training_targets=[[-1.0, 0.0]]), "room")
     cases = [(room, (0.0, 0.0, 0.1), (1.9, 0.4)), (room, (0.1, -0.1, 0.2), (0.6, 0.1))]
     for scene in (ENV1, ENV2):
-        free = scene.reachable()
+        free = scene.reachable
         for _ in range(10):
             pose = (*free[rng.integers(len(free))], rng.uniform(-np.pi, np.pi))
             cases.append((scene, pose, scene.targets[0]))
@@ -228,7 +228,7 @@ def test_no_gap_at_a_shared_corner_and_no_numerical_warning():
     poses = np.c_[-1.1 * np.cos(angle), -1.1 * np.sin(angle), angle]  # all around, facing it
     with np.errstate(all="raise"):
         horizon = photograph(scene, poses, (9.0, 9.0))[:, 23]
-        rng, free = np.random.default_rng(5), ENV1.reachable()
+        rng, free = np.random.default_rng(5), ENV1.reachable
         anywhere = np.c_[free[rng.integers(len(free), size=500)], rng.uniform(-np.pi, np.pi, 500)]
         anywhere[:8, 2] = np.arange(8) * np.pi / 4
         inside = photograph(ENV1, anywhere, ENV1.targets[0])[:, 23]
@@ -618,11 +618,21 @@ def test_new_targets_never_reach_an_update(monkeypatch):
     class Nowhere:
         def add_row(self, name, row):
             pass
-    config = train.Config(steps=1200, robots=8, episodes_per_update=8)
+    config = train.Config(steps=1200, robots=8, episodes_per_update=8, random_starts=0.0)
     record = train.train(config, scene, Nowhere())[1]
     away = [np.hypot(*(np.array(t) - scene.start[:2])) for t in scene.training_targets]
     assert {row["kind"] for row in record.episodes} == {"training", "new"} and len(learnt) >= 16
-    assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)
+    assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)  # all from the one start
+
+
+def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
+    env = navbot_min.NavVecEnv(400, random_starts=0.7)
+    poses = env.reset(seed=0)[1]["pose"]
+    elsewhere, new = (poses[:, :2] != ENV1.start[:2]).any(1), env._target == 2
+    assert new.any() and not elsewhere[new].any() and 0.6 < elsewhere[~new].mean() < 0.8
+    assert ENV1.clearance(poses[:, :2]).min() > sim.ROBOT_RADIUS
+    assert np.hypot(*(poses[:, :2] - ENV1.targets[env._target]).T).min() >= 1
+    assert (np.ptp(poses[elsewhere], axis=0) > (3, 1.5, 5)).all()
 
 
 @pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])

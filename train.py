@@ -5,14 +5,11 @@ leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.pn
 summary.json.
 """
 
-import csv
 import json
-import os
 import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, fields
-from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +20,7 @@ from evaluate import draw_curves, evaluate, report
 from model import MEMORIES, REWARD_SCALE, Network
 from navbot_min import CommandLine, NavVecEnv
 from ppo import Collector, update
+from runs import RunFolder
 from sim import SceneError, load_scene
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
@@ -41,6 +39,7 @@ class Config:
     seed: int = option(0, "of every random number in the run", 0)
     steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
     robots: int = option(32, "R, robots that drive side by side", 1)
+    random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
     epochs: int = option(4, "K of Algorithm 1", 1)
@@ -74,37 +73,6 @@ def read_config(argv):
     if config.out and Path(config.out).exists():
         parser.error(f"--out '{config.out}' exists already, it must name a new folder")
     return config, parser
-
-
-class RunFolder:
-    """The files of one run. Nothing that exists is overwritten, nothing is left half-written."""
-
-    def __init__(self, config, scene):
-        name = config.out or f"runs/{scene.name}-seed{config.seed}"
-        names = chain([name], (f"{name}-{copy}" for copy in count(2)))
-        self.path = next(path for path in map(Path, names) if not path.exists())
-        self.path.mkdir(parents=True)
-        self._tables = {}
-        self.write("config.json", json.dumps(asdict(config), indent=2))
-
-    def write(self, name, content):
-        """A whole file: text, or a function that writes to the path it is given."""
-        partial = self.path / f".{name}"
-        content(partial) if callable(content) else partial.write_text(content + "\n")
-        os.replace(partial, self.path / name)
-
-    def add_row(self, name, row):
-        """One more row, a dict, of a CSV table."""
-        if name not in self._tables:
-            self._tables[name] = file = open(self.path / name, "w", newline="", buffering=1)
-            csv.writer(file).writerow(row)
-        csv.writer(self._tables[name]).writerow(row.values())
-
-    def save_model(self, model, scene, steps):
-        """Weights, what rebuilds the network, and the scene; loads with `weights_only=True`."""
-        content = {"weights": model.state_dict(), "memory": model.memory, "steps": steps,
-                   "scene": asdict(scene)}
-        self.write("model.pt", lambda path: torch.save(content, path))
 
 
 class Record:
@@ -144,7 +112,7 @@ def train(config, scene, folder):
     rng = np.random.default_rng(config.seed)
     model = Network(config.memory)
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5)
-    env = NavVecEnv(config.robots, scene, targets="both")  # line 3: p0 is drawn from all targets
+    env = NavVecEnv(config.robots, scene, "both", config.random_starts)  # line 3: p0 from all of P
     collector = Collector(env, model, REWARD_SCALE, config.seed)
     record, buffer, start = Record(scene), [], time.perf_counter()
     bar = tqdm(total=config.steps, unit=" steps", file=sys.stderr, mininterval=0.5)
@@ -184,13 +152,13 @@ def main(argv=None):
     config, parser = read_config(argv)
     try:
         scene = load_scene(config.env)
-        folder = RunFolder(config, scene)
+        folder = RunFolder(config.out, f"runs/{scene.name}-seed{config.seed}", asdict(config))
     except (SceneError, OSError) as error:
         parser.error(error)
     messages = sys.stderr if config.json else sys.stdout
     print(f"run folder: {folder.path}", file=messages)
     model, record, summary = train(config, scene, folder)
-    folder.save_model(model, scene, record.steps)
+    folder.save_model(model, scene)
     curves = draw_curves(record.episodes, scene.name, SUCCESS_RATE)
     folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))
     folder.write("summary.json", json.dumps(summary, indent=2))
