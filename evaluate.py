@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from navbot_min import CONTROL_PERIOD, OUTCOMES, NavVecEnv
 
-ROBOTS_PER_TARGET = 32  # at most; they drive side by side
+EPISODES_PER_ROBOT = 8  # at most; the robots of all targets drive side by side
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
 SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
            "env2": {"training": 500, "new": 100}}
@@ -34,7 +34,7 @@ def rollouts(model, scene, quotas, actions, seed):
     """
     targets, quota = [], []
     for k, n in enumerate(quotas):
-        robots = min(n, ROBOTS_PER_TARGET)
+        robots = math.ceil(n / EPISODES_PER_ROBOT)
         targets += [k] * robots
         quota += [n // robots + (i < n % robots) for i in range(robots)]
     env, quota = NavVecEnv(len(targets), scene, targets=targets), np.array(quota)
