@@ -145,6 +145,6 @@ def draw_curves(episodes, env, stop_rate):
             axes.grid(alpha=0.3)
         panels[0, column].axhline(100 * stop_rate, color="black", lw=0.8, ls="--")
         panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
-        panels[0, column].legend(loc="lower right")
+        panels[0, column].legend(loc="upper left")
     figure.suptitle(f"{env}: this run, and the paper's (dashed: the rate r at which it stops)")
     return figure
