@@ -747,7 +747,8 @@ def test_the_readmes_files_and_commands_exist():
     for script, flags in re.findall(r"python (\w+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)", text):
         source = (ROOT / script).read_text()
         for flag in re.findall(r"--([\w-]+)", flags):
-            assert flag in source or flag.replace("-", "_") in source, (script, flag)
+            field = flag.replace("-", "_")
+            assert re.search(rf'"--{flag}"|^    {field}: ', source, re.M), (script, flag)
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"^ *make (\w+)", text, re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
