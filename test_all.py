@@ -757,4 +757,5 @@ def test_the_readmes_files_and_commands_exist():
 def test_the_lesson_stays_short():
     lines = {name: (ROOT / name).read_text().splitlines() for name in LESSON}
     assert sum(len(text) for text in lines.values()) < 1300
-    assert all(len(line) <= 100 for path in ROOT.glob("*.py") for line in path.open())
+    assert all(len(line) <= 100 for path in ROOT.glob("*.py")
+               for line in path.read_text().splitlines())
