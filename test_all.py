@@ -527,7 +527,7 @@ class Cue(VectorEnv):
 
     def look(self):
         target = np.zeros((self.num_envs, 2), np.float32)
-        target[:, 1] = self.cue * (self.t == 0)
+        target[:, 1] = 3 * self.cue * (self.t == 0)
         return {"image": np.zeros((self.num_envs, 48, 64, 3), np.uint8), "target": target,
                 "velocity": np.zeros((self.num_envs, 2), np.float32),
                 "reward": np.zeros((self.num_envs, 1), np.float32)}
@@ -547,7 +547,7 @@ def test_a_cue_at_the_first_step_is_learnt_by_the_lstm_and_not_without_memory():
         net, rng = network(memory), np.random.default_rng(0)
         optimizer = torch.optim.Adam(net.parameters(), lr=2e-3)
         collector = ppo.Collector(Cue(), net, 1.0, seed=0)
-        for _ in range(10):
+        for _ in range(16):
             ended = collect(collector, 32)
             ppo.update(net, optimizer, [episode for episode, _ in ended], config, rng)
         paid[memory] = np.mean([info["outcome"] for _, info in collect(collector, 256)])
