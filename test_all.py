@@ -742,7 +742,7 @@ def test_imports_are_those_of_the_readmes_table():
 def test_the_readmes_files_and_commands_exist():
     text = (ROOT / "README.md").read_text()
     made = {"curves.png", "demo.png", "episodes.csv", "updates.csv"}  # by the commands
-    for name in re.findall(r"`([\w./]+\.(?:py|toml|csv|png|txt|md))`|\]\(([\w./]+)\)", text):
+    for name in re.findall(r"`([\w./-]+\.(?:py|toml|csv|json|png|txt|md))`|\]\(([\w./]+)\)", text):
         assert (ROOT / "".join(name)).exists() or "".join(name) in made, name
     for script, flags in re.findall(r"python (\w+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)", text):
         source = (ROOT / script).read_text()
