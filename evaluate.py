@@ -133,10 +133,10 @@ def draw_curves(episodes, env, stop_rate):
         returns = [row["return"] for row in rows]
         ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
                 "mean_return": [np.mean(returns[(n - 1) // window * window:n]) for n in ends]}
-        for row, (key, label, scale) in enumerate((
+        for i, (key, label, scale) in enumerate((
                 ("success_last_100", "success rate, last 100 episodes [%]", 100),
                 ("mean_return", "average reward of an episode", 1))):
-            axes = panels[row, column]
+            axes = panels[i, column]
             axes.plot([float(point["episodes"]) for point in theirs],
                       [scale * float(point[key]) for point in theirs], color="#b0b0b0",
                       label="paper (released records)" if theirs else None)

@@ -53,7 +53,7 @@ class Network(nn.Module):
     all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
 
     def __init__(self, memory="stacked", command_scale=(0.3, 1.0)):
-        """command_scale: maximum linear [m/s] and angular [rad/s] velocity."""
+        """command_scale: maximum linear [m/s] and angular [rad/s] velocity, paper III-C."""
         super().__init__()
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")

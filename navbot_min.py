@@ -62,12 +62,15 @@ class NavVecEnv(VectorEnv):
         targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
         or (R,) indices into `scene.targets`, one for each robot.
         random_starts: the fraction of the episodes to training targets that start anywhere
-        reachable, at any heading, 1 m or more from the target; all others start at the start pose.
+        reachable, at any heading, 1 m from the target or more (in a smaller room, as far as can
+        be); all others start at the start pose.
         Raises ValueError for any of these that is not valid.
         """
         for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
             if not isinstance(value, (int, np.integer)) or value < 1:
                 raise ValueError(f"{name} is {value!r}, it must be a whole number from 1 up")
+        if not 0 <= random_starts <= 1:
+            raise ValueError(f"random_starts is {random_starts!r}, it must be from 0 to 1")
         envs = env if isinstance(env, (list, tuple)) else [env]
         rooms = [room if isinstance(room, Scene) else load_scene(room) for room in envs]
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
@@ -123,8 +126,9 @@ class NavVecEnv(VectorEnv):
         new = self._target[r] >= len(scene.training_targets)
         if new or self.random_starts == 0 or rng.random() >= self.random_starts:
             return scene.start
-        away = np.hypot(*(scene.reachable - self._targets[r]).T) >= 1
-        return (*rng.choice(scene.reachable[away]), rng.uniform(-np.pi, np.pi))
+        distance = np.hypot(*(scene.reachable - self._targets[r]).T)
+        away = scene.reachable[distance >= min(1, distance.max())]
+        return (*rng.choice(away), rng.uniform(-np.pi, np.pi))
 
     def _observe(self, robots, velocity, reward):
         poses, targets = self.world.poses[robots], self._targets[robots]

@@ -120,8 +120,8 @@ def _check(valid, message):
 
 
 def _number(value, what, low=-math.inf):
-    _check(isinstance(value, (int, float)) and math.isfinite(value),
-           f"{what} is {value!r}, it must be a finite number")
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    _check(number and math.isfinite(value), f"{what} is {value!r}, it must be a finite number")
     _check(value > low, f"{what} is {value!r}, it must be above {low}")
     return float(value)
 

@@ -133,6 +133,7 @@ def test_rooms_are_the_papers(scene):
     (dict(new_targets=[[1.0, 0.0]]), "is a training one too"),
     (dict(start=[0.0, 0.0]), "start is [0.0, 0.0], it must be a list of 3"),
     (dict(start=[1.9, 0.0, 0.0]), "start (1.9, 0.0) is nearer to a box"),
+    (dict(start=[0.0, 0.0, True]), "start[2] is True, it must be a finite number"),
     (dict(colour="red"), "unknown key 'colour'"),
     (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
     (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2, it must be above 0.281"),
@@ -568,7 +569,7 @@ def runs(tmp_path_factory):
     for _ in range(2):
         outputs.append(subprocess.run(
             [sys.executable, str(ROOT / "train.py"), "--env", "env1", *TINY, "--json"],
-            cwd=folder, capture_output=True, text=True, timeout=80))
+            cwd=folder, capture_output=True, text=True))
     return folder / "runs", outputs
 
 
@@ -633,6 +634,12 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
     assert ENV1.clearance(poses[:, :2]).min() > sim.ROBOT_RADIUS
     assert np.hypot(*(poses[:, :2] - ENV1.targets[env._target]).T).min() >= 1
     assert (np.ptp(poses[elsewhere], axis=0) > (3, 1.5, 5)).all()
+    tiny = sim.parse_scene(square_room(0.5, training_targets=[[0.3, 0.0]],
+                                       new_targets=[[0.0, 0.3]]), "nowhere 1 m from its target")
+    env = navbot_min.NavVecEnv(4, tiny, "training", random_starts=1.0)
+    assert (env.reset(seed=0)[1]["pose"][:, 0] < 0).all()
+    with pytest.raises(ValueError, match="random_starts is 1.5, it must be from 0 to 1"):
+        navbot_min.NavVecEnv(4, random_starts=1.5)
 
 
 @pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])
