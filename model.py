@@ -58,15 +58,15 @@ class Network(nn.Module):
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
         self.memory = memory
-        # 'Same' padding of strided layers, which torch lacks: one-sided where ZeroPad2d says so.
-        # Kernels are (height, width).
+        # Kernels are (height, width). Padding makes sizes those of Fig. 2; where 'same' asks for one
+        # row it is above the image, since padding on both sides costs no copy and reads no further.
         relu = 2 ** 0.5
         self.cnn = nn.Sequential(
-            orthogonal(nn.Conv2d(3, 32, (6, 8), 4, padding=(1, 2)), relu), nn.ReLU(),
-            nn.ZeroPad2d((1, 1, 0, 1)), orthogonal(nn.Conv2d(32, 64, (3, 4), 2), relu), nn.ReLU(),
+            orthogonal(nn.Conv2d(3, 32, (6, 8), 4, padding=(1, 2)), relu), nn.ReLU(inplace=True),
+            orthogonal(nn.Conv2d(32, 64, (3, 4), 2, padding=1), relu), nn.ReLU(inplace=True),
             nn.MaxPool2d(2),
-            nn.ZeroPad2d((0, 0, 0, 1)), orthogonal(nn.Conv2d(64, 64, 2, 2), relu), nn.ReLU(),
-            nn.Flatten(), orthogonal(nn.Linear(256, FEATURES), relu), nn.ReLU())
+            orthogonal(nn.Conv2d(64, 64, 2, 2, padding=(1, 0)), relu), nn.ReLU(inplace=True),
+            nn.Flatten(), orthogonal(nn.Linear(256, FEATURES), relu), nn.ReLU(inplace=True))
         self.cnn.to(memory_format=torch.channels_last)
         first = FEATURES + 2 + (3 if memory == "single" else 0)
         self.memories = nn.ModuleList([Memory(first, memory != "none")])
@@ -104,15 +104,15 @@ class Network(nn.Module):
     def forward(self, observations, state, mask=None):
         """Observations (M, T, ...) and the memory before them -> distribution of actions (M, T, 2),
         values (M, T), memory after them. Where the mask (M, T) is given and false, steps are
-        padding, and no convolution is spent on them.
+        padding; images are those of the real steps then, (B, H, W, 3), episode after episode.
         """
-        image = observations["image"]
-        real = torch.ones(image.shape[:2], dtype=torch.bool) if mask is None else mask
-        features = torch.zeros(*image.shape[:2], FEATURES, device=image.device)
-        features[real] = self.see(image[real])  # (M, T, FEATURES)
+        target = observations["target"]
+        real = torch.ones_like(target[..., 0], dtype=torch.bool) if mask is None else mask
+        features = target.new_zeros(*target.shape[:2], FEATURES)  # (M, T, FEATURES)
+        features[real] = self.see(observations["image"].flatten(0, -4))
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
-        x, states = torch.cat([features, observations["target"] * TARGET_SCALE], -1), []
+        x, states = torch.cat([features, target * TARGET_SCALE], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):

@@ -109,16 +109,20 @@ class NavVecEnv(VectorEnv):
         super().reset(seed=seed)
         self._target, self._targets = np.zeros(self.num_envs, int), np.zeros((self.num_envs, 2))
         self._steps, self._return = np.zeros(self.num_envs, int), np.zeros(self.num_envs)
-        return self._begin(np.arange(self.num_envs)), {"pose": self.world.poses}
+        robots = np.arange(self.num_envs)
+        self._begin(robots)
+        observations = self._observe(robots, self.world.poses, self._targets,
+                                     np.zeros((self.num_envs, 2)), np.zeros(self.num_envs))
+        return observations, {"pose": self.world.poses}
 
     def _begin(self, robots):
-        """Starts a new episode for those robots (n,) indices; returns their observations."""
-        scenes = [self.world.scenes[r] for r in robots]
-        self._target[robots] = [self.np_random.choice(self._choices[r]) for r in robots]
-        self._targets[robots] = [scene.targets[k] for scene, k in zip(scenes, self._target[robots])]
+        """Starts a new episode for those robots, (n,) indices."""
+        for r in robots:
+            choices = self._choices[r]
+            self._target[r] = choices[self.np_random.integers(len(choices))]
+            self._targets[r] = self.world.scenes[r].targets[self._target[r]]
         self._steps[robots], self._return[robots] = 0, 0
-        self.world.place(robots, np.array([self._start(r) for r in robots]))
-        return self._observe(robots, np.zeros((len(robots), 2)), np.zeros(len(robots)))
+        self.world.place(robots, np.array([self._start(r) for r in robots]).reshape(-1, 3))
 
     def _start(self, r):
         """The pose at which robot r starts its episode."""
@@ -126,12 +130,10 @@ class NavVecEnv(VectorEnv):
         new = self._target[r] >= len(scene.training_targets)
         if new or self.random_starts == 0 or rng.random() >= self.random_starts:
             return scene.start
-        distance = np.hypot(*(scene.reachable - self._targets[r]).T)
-        away = scene.reachable[distance >= min(1, distance.max())]
-        return (*rng.choice(away), rng.uniform(-np.pi, np.pi))
+        away = scene.starts[self._target[r]]
+        return (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
 
-    def _observe(self, robots, velocity, reward):
-        poses, targets = self.world.poses[robots], self._targets[robots]
+    def _observe(self, robots, poses, targets, velocity, reward):
         return {"image": self.camera.render(self.room[robots], poses, targets),
                 "target": polar_targets(poses, targets).astype(np.float32),
                 "velocity": velocity.astype(np.float32),
@@ -163,27 +165,36 @@ class NavVecEnv(VectorEnv):
         self._return += reward
         terminated = arrived | hit
         truncated = ~terminated & (self._steps >= self.max_episode_steps)
-        observations = self._observe(np.arange(self.num_envs), command, reward)
-        infos, done = {"pose": poses}, terminated | truncated
-        if done.any():
-            infos |= self._end(done, np.where(arrived, 0, np.where(hit, 1, 2)), observations)
-        return observations, reward, terminated, truncated, infos
+        done, outcome = terminated | truncated, np.where(arrived, 0, np.where(hit, 1, 2))
+        observations, infos = self._end(done, outcome, poses, command, reward)
+        return observations, reward, terminated, truncated, {"pose": poses} | infos
 
-    def _end(self, done, outcome, observations):
-        """Reports the episodes that are done (R,) bool, and starts the next ones: their first
-        observations take the last ones' places."""
-        robots, final_obs = np.flatnonzero(done), np.full(self.num_envs, None, dtype=object)
-        for r in robots:
-            final_obs[r] = {key: value[r].copy() for key, value in observations.items()}
+    def _end(self, done, outcome, poses, command, reward):
+        """Ends the episodes that are done (R,) bool and starts the next ones. Returns what all
+        robots see now, and the infos of those that are done: what they saw and how they fared."""
+        R, ended = self.num_envs, np.flatnonzero(done)
         training = np.array([len(scene.training_targets) for scene in self.world.scenes])
         final_info = {"outcome": np.array(OUTCOMES)[outcome], "return": self._return.copy(),
                       "length": self._steps.copy(), "target": self._target.copy(),
                       "new": self._target >= training}
-        for key, value in self._begin(robots).items():
-            observations[key][robots] = value
-        return {"final_obs": final_obs, "_final_obs": done,
-                "final_info": final_info | {f"_{key}": done for key in final_info},
-                "_final_info": done}
+        targets = self._targets.copy()
+        self._begin(ended)
+        # One picture for the last observations of all and the first ones of those that start.
+        seen = self._observe(np.append(np.arange(R), ended),
+                             np.concatenate([poses, self.world.poses[ended]]),
+                             np.concatenate([targets, self._targets[ended]]),
+                             np.pad(command, ((0, len(ended)), (0, 0))),
+                             np.pad(reward, (0, len(ended))))
+        if not len(ended):
+            return seen, {}
+        final_obs = np.full(R, None, dtype=object)
+        for r in ended:
+            final_obs[r] = {key: value[r].copy() for key, value in seen.items()}
+        for value in seen.values():
+            value[ended] = value[R:]
+        infos = {"final_obs": final_obs, "_final_obs": done, "_final_info": done,
+                 "final_info": final_info | {f"_{key}": done for key in final_info}}
+        return {key: value[:R] for key, value in seen.items()}, infos
 
 
 class NavEnv(gym.Env):

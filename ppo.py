@@ -93,20 +93,22 @@ def advantages(rewards, values, last_value, gamma, lam):
     0 where the episode was terminated. Returns (T,).
     """
     following = torch.cat([values[1:], values.new_tensor([last_value])])
-    delta, A, result = rewards + gamma * following - values, 0.0, torch.empty_like(values)
-    for t in reversed(range(len(rewards))):
-        A = delta[t] + gamma * lam * A
-        result[t] = A
-    return result
+    result = (rewards + gamma * following - values).tolist()  # numbers are faster than tensors here
+    for t in reversed(range(len(result) - 1)):
+        result[t] += gamma * lam * result[t + 1]
+    return values.new_tensor(result)
 
 
 def pad(episodes, batch_advantages):
-    """M episodes as one minibatch, padded with zeros to the longest: a dict of (M, T, ...)."""
+    """M episodes as one minibatch, padded with zeros to the longest: a dict of (M, T, ...). Only
+    images, by far the largest, are not padded: (B, H, W, 3), one for each real step."""
     def stack(sequences):
         return pad_sequence(list(sequences), batch_first=True)
+
+    def join(key):
+        return (torch.cat if key == "image" else stack)([e.observations[key] for e in episodes])
     return {
-        "observations": {key: stack(e.observations[key] for e in episodes)
-                         for key in episodes[0].observations},
+        "observations": {key: join(key) for key in episodes[0].observations},
         "actions": stack(e.actions for e in episodes),
         "log_probs": stack(e.log_probs for e in episodes),
         "advantages": stack(batch_advantages),

@@ -22,6 +22,7 @@ SUN = np.array((0.5, -0.1, 0.9)) / np.linalg.norm((0.5, -0.1, 0.9))  # towards i
 FLOOR, SKY, BLUE = (118, 118, 118), (178, 178, 178), (20, 20, 235)
 TEXEL = 0.025  # [m] one texture element, our choice
 PERIOD = 48  # texels after which a texture repeats along a wall, 1.2 m
+BLOCK = 64  # images that are painted at once, few enough to stay in the cache
 BELOW, ABOVE = 128, 160  # texels of a texture column below and above the floor line: all that
 #   a camera column can show up to FAR, so that no lookup needs to be clipped
 
@@ -29,6 +30,7 @@ BELOW, ABOVE = 128, 160  # texels of a texture column below and above the floor 
 # parameter is the distance along the optical axis and a wall seen head-on is flat.
 RAY = ((W / 2 - 0.5 - np.arange(W)) / FOCAL).astype(np.float32)
 DROP = ((np.arange(H) + 0.5 - H / 2) / FOCAL).astype(np.float32)  # fall of a row's ray, per metre
+HORIZON = np.float32(BELOW + CAMERA_HEIGHT / TEXEL)  # the camera's height in a texture column
 
 
 def light(normal):
@@ -64,18 +66,20 @@ class Camera:
     def __init__(self, rooms):
         """rooms: Scenes; a robot's room is an index into them. Heights are rounded to a texel."""
         shape = (len(rooms), max(len(room.boxes) for room in rooms), 4)
-        self._corners = np.zeros((*shape, 2), np.float32)  # boxes that a room lacks have no size,
-        self._tops = np.zeros(shape, np.int64)  # [texel]    and a face without size is never seen
+        self._corners = np.zeros(shape, np.complex64)  # boxes that a room lacks have no size,
+        self._tops = np.zeros(shape, np.float32)  # and a face without size is never seen
         self._lit = np.zeros(shape, np.int64)  # where the face's lit texture starts in the palette
         lit = {}
         for i, room in enumerate(rooms):
             for b, box in enumerate(room.boxes):
-                self._corners[i, b] = box.corners
-                self._tops[i, b] = top = min(round(box.height / TEXEL), ABOVE)
+                self._corners[i, b] = box.corners @ (1, 1j)
+                top = min(round(box.height / TEXEL), ABOVE)
+                self._tops[i, b] = top * TEXEL
                 for face, angle in enumerate(box.yaw + np.pi * np.array((0.5, 1, 1.5, 2))):
                     bright = light((np.cos(angle), np.sin(angle), 0)).round(1)  # few, to stay small
                     key = (box.material, top, float(bright))
                     self._lit[i, b, face] = lit.setdefault(key, len(lit)) * PERIOD * (BELOW + ABOVE)
+        self._highest = self._tops.max()
         self._palette = self._pack(lit)
 
     def _pack(self, lit):
@@ -97,106 +101,114 @@ class Camera:
         """Images (R, H, W, 3) uint8 RGB seen from (R, 3) poses in rooms (R,) with the target cubes
         at (R, 2) [m]."""
         images = np.empty((len(poses), H, W, 3), np.uint8)
-        for k in range(0, len(poses), 32):  # blocks that stay in the cache
-            block = slice(k, k + 32)
+        for k in range(0, len(poses), BLOCK):
+            block = slice(k, k + BLOCK)
             self._paint(images[block], room[block], poses[block], targets[block])
         return images
 
     def _paint(self, images, room, poses, targets):
-        c, s = np.cos(poses[:, 2]).astype(np.float32), np.sin(poses[:, 2]).astype(np.float32)
-        eye = poses[:, :2].astype(np.float32) + CAMERA_OFFSET * np.stack([c, s], -1)
-        index, depth = self._paint_room(room, eye, c, s)
-        self._paint_cube(index, depth, targets.astype(np.float32) - eye, c, s)
-        packed = self._palette.take(index, mode="wrap").view(np.uint8).reshape(-1, W, H, 4)
+        heading = np.exp(1j * poses[:, 2]).astype(np.complex64)
+        eye = (poses[:, 0] + 1j * poses[:, 1]).astype(np.complex64) + CAMERA_OFFSET * heading
+        index, depth = self._paint_room(room, eye, heading)
+        offset = (targets[:, 0] + 1j * targets[:, 1] - eye).astype(np.complex64)
+        self._paint_cube(index, depth, offset, heading)
+        packed = self._palette.take(index, mode="wrap").view(np.uint8).reshape(-1, H, W, 4)
         for channel in range(3):
-            images[..., channel] = packed[..., channel].swapaxes(1, 2)
+            images[..., channel] = packed[..., channel]
 
-    def _paint_room(self, room, eye, c, s):
-        """Palette index of each pixel (R W, H), and depth [m] of each column's nearest wall."""
-        normal, p, span, tops, lit = self._visible_faces(room, eye, c, s)
-        # Along a face, inverse depth is affine in the column: 1 / z = (n . (1, ray)) / (n . p).
-        inverse = (normal[..., :1] + normal[..., 1:] * RAY) / (normal * p).sum(-1, keepdims=True)
-        seen = (RAY <= span[..., :1]) & (RAY >= span[..., 1:])  # both ends: corners leave no gap
-        inverse = np.where(seen & (inverse > 1 / FAR), inverse, np.float32(0))  # (R, K, W)
-        inverse = inverse.swapaxes(1, 2).reshape(-1, inverse.shape[1])  # (C, K)
-        robot, ray = np.repeat(np.arange(len(eye)), W), np.tile(RAY, len(eye))  # (C,)
-        columns, index, depth, above = slice(None), None, None, None
-        while len(inverse):  # the nearest face of each column, then what is seen over its top
-            face = inverse.argmax(1)
-            nearest = inverse[np.arange(len(face)), face]
-            z = 1 / np.maximum(nearest, np.float32(1 / FAR))
-            n, start = normal[robot, face], p[robot, face]
-            # (n_y, -n_x) runs along the face; its length is the face's length.
-            run = z * (ray * n[:, 0] - n[:, 1]) - (start[:, 1] * n[:, 0] - start[:, 0] * n[:, 1])
-            u = (run / (np.hypot(n[:, 0], n[:, 1]) * TEXEL)).astype(np.int64) % PERIOD
-            base = np.where(nearest > 0, lit[robot, face] + u * (BELOW + ABOVE), self._open)
-            v = (CAMERA_HEIGHT / TEXEL + BELOW) - (z / TEXEL)[:, None] * DROP  # (C, H)
-            v = v.astype(np.int64)
+    def _paint_room(self, room, eye, heading):
+        """Palette index of each pixel (R, H, W), and depth [m] of each column's nearest wall."""
+        (a, b, e, f, lit, top), inverse, slots = self._visible_faces(room, eye, heading)
+        R, K = slots.shape
+        index = depth = None
+        column, skyline = np.arange(R * W), np.float32(0)
+        while len(column):  # the nearest face of each column, then what is seen over its top
+            slot = inverse.argmax(1)
+            if index is not None:
+                more = np.flatnonzero(slot)
+                column, inverse, skyline, slot = (x[more] for x in (column, inverse, skyline, slot))
+            robot, x = np.divmod(column, W)
+            face = slots[robot, slot]
+            z = 1 / (a[face] + b[face] * RAY[x])
+            u = ((e[face] + f[face] * RAY[x]) * z).astype(np.int64) % PERIOD
+            base = lit[face] + u * (BELOW + ABOVE)
             if index is None:
-                index, depth = base[:, None] + v, z
-                above = np.ones(v.shape, bool)
+                v = HORIZON - DROP[:, None] * (z / TEXEL).reshape(R, 1, W)
+                index, depth = v.astype(np.int64), z.reshape(R, W)
+                index += base.reshape(R, 1, W)
             else:
-                index[columns] = np.where(above, base[:, None] + v, index[columns])
-            top = tops[robot, face]
-            above &= v >= BELOW + top[:, None]
-            inverse = np.where(tops[robot] > top[:, None], inverse, np.float32(0))
-            more = np.flatnonzero(inverse.max(1) > 0)
-            columns = more if isinstance(columns, slice) else columns[more]
-            inverse, above, robot, ray = inverse[more], above[more], robot[more], ray[more]
+                v = HORIZON - DROP[:H // 2] * (z / TEXEL)[:, None]
+                index[robot, :H // 2, x] = np.where(
+                    DROP[:H // 2] <= skyline[:, None], base[:, None] + v.astype(np.int64),
+                    index[robot, :H // 2, x])
+            skyline = np.minimum(skyline, (CAMERA_HEIGHT - top[face]) / z)
+            more = np.flatnonzero(top[face] < self._highest)
+            column, skyline = column[more], skyline[more]
+            higher = top[slots[robot[more]]] > top[face[more], None]
+            inverse = np.where(higher, inverse[more], np.float32(0))
         return index, depth
 
-    def _visible_faces(self, room, eye, c, s):
-        """The faces that each camera may see, in its own frame (forward, left).
+    def _visible_faces(self, room, eye, heading):
+        """The faces that each camera may see.
 
-        Returns outward normals (R, K, 2) as long as the face, first ends (R, K, 2), the rays
-        through both ends (R, K, 2), tops [texel] (R, K) and lit textures (R, K).
+        Along a face, inverse depth is affine in the column's ray, 1 / z = a + b ray, and so is
+        u / z, where u is how far along the face the ray meets it [texel]. Returns a, b, e, f
+        (u / z = e + f ray), the lit texture and the top [m] of each face (F,); the inverse
+        depth of K slots for each column (C, K), 0 where a ray misses; and the faces (R, K) in those
+        slots. Slot 0 is no wall but the end of sight, floor and sky at FAR.
         """
-        offset = self._corners[room] - eye[:, None, None]  # (R, B, 4, 2)
-        rotation = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)  # (R, 2, 2)
-        p = offset @ rotation[:, None]
+        p = (self._corners[room] - eye[:, None, None]) * heading.conj()[:, None, None]  # (R, B, 4)
         q = p[:, :, (1, 2, 3, 0)]
-        normal = np.stack([q[..., 1] - p[..., 1], p[..., 0] - q[..., 0]], -1)
-        # An end behind the camera is out of view on its side; from outside, p is left and q right.
-        ahead = p[..., 0] > NEAR / 2
-        slope = p[..., 1] / np.where(ahead, p[..., 0], 1)
+        cross = (p.conj() * q).imag  # negative when seen from outside: p is left then, q right
+        ahead = p.real > NEAR / 2  # an end behind the camera is out of view on its side
+        slope = p.imag / np.where(ahead, p.real, 1)
         left = np.where(ahead, slope, np.inf)
         right = np.where(ahead, slope, -np.inf)[:, :, (1, 2, 3, 0)]
-        visible = ((normal * p).sum(-1) < -1e-6) & (ahead | ahead[:, :, (1, 2, 3, 0)])
+        visible = (cross < -1e-6) & (ahead | ahead[:, :, (1, 2, 3, 0)])
         visible &= (left >= RAY[-1]) & (right <= RAY[0])
-        visible = visible.reshape(len(room), -1)
-        order = np.argsort(~visible, axis=1, kind="stable")[:, :max(1, visible.sum(1).max())]
+        robot, box, side = np.nonzero(visible)
+        p, q, cross, left, right = (x[robot, box, side] for x in (p, q, cross, left, right))
+        along = q - p
+        a, b = along.imag / cross, -along.real / cross
+        seen = (RAY <= left[:, None]) & (RAY >= right[:, None])  # both ends: corners leave no gap
+        count = np.bincount(robot, minlength=len(room))
+        slot = np.arange(len(robot)) - np.repeat(np.cumsum(count) - count, count) + 1
+        inverse = np.zeros((len(room), W, count.max() + 1), np.float32)
+        inverse[:, :, 0] = 1 / FAR
+        inverse[robot, :, slot] = (a[:, None] + b[:, None] * RAY) * seen
+        slots = np.zeros((len(room), inverse.shape[2]), np.int64)
+        slots[robot, slot] = np.arange(len(robot)) + 1
+        along /= TEXEL * np.abs(along)
+        start = (along.conj() * p).real
+        faces = (a, b, along.real - start * a, along.imag - start * b,
+                 self._lit[room[robot], box, side], self._tops[room[robot], box, side])
+        end = (1 / FAR, 0, 0, 0, self._open, np.inf)
+        faces = [np.concatenate([[y], x], dtype=x.dtype) for x, y in zip(faces, end)]
+        return faces, inverse.reshape(-1, inverse.shape[2]), slots
 
-        def pick(faces):  # (R, B, 4, ...) -> (R, K, ...), each robot's visible faces first
-            faces = faces.reshape(len(room), -1, *faces.shape[3:])
-            return faces[np.arange(len(room))[:, None], order]
-        normal, p, span = pick(normal), pick(p), pick(np.stack([left, right], -1))
-        hidden = ~pick(visible.reshape(left.shape))
-        span[hidden] = (-np.inf, np.inf)  # no ray is between these, and
-        normal[hidden], p[hidden] = (1, 0), (-1, 0)  # no division by zero comes from those
-        return normal, p, span, pick(self._tops[room]), pick(self._lit[room])
-
-    def _paint_cube(self, index, depth, offset, c, s):
-        """Paints the target cubes, (R, 2) `offset` from the cameras, over `index` in place."""
+    def _paint_cube(self, index, depth, offset, heading):
+        """Paints the target cubes, (R,) `offset` from the cameras, over `index` in place."""
+        ahead = offset * heading.conj()
+        robots = np.flatnonzero(np.abs(ahead.imag) < RAY[0] * ahead.real + CUBE_SIZE)
         # Slabs: each axis-aligned pair of faces bounds the ray's parameter, which is the depth.
-        way = np.stack([c[:, None] - s[:, None] * RAY, s[:, None] + c[:, None] * RAY], -1)
-        way = np.where(np.abs(way) < 1e-6, np.float32(1e-6), way)  # (R, W, 2)
-        half = np.float32(CUBE_SIZE / 2) * np.sign(way)
-        enter = (offset[:, None] - half) / way
-        leave = ((offset[:, None] + half) / way).min(-1).ravel()
-        side = enter.argmax(-1).ravel()
-        enter = enter.max(-1).ravel()
-        columns = np.flatnonzero((enter < np.minimum(leave, depth)) & (leave > NEAR))
-        if not len(columns):
-            return
-        near = np.maximum(enter[columns], np.float32(NEAR))[:, None]
-        far = np.minimum(leave, depth)[columns][:, None]
-        away = way.reshape(-1, 2)[columns, side[columns]] < 0  # the ray runs down this axis
-        face = self._cube[1 + 2 * side[columns] + np.where(away, 0, 1)][:, None]
+        way = heading[robots, None] * (1 + 1j * RAY)  # (R, W)
+        x, y = (np.where(np.abs(d) < 1e-6, np.float32(1e-6), d) for d in (way.real, way.imag))
+        half = np.float32(CUBE_SIZE / 2)
+        dx, dy = offset[robots, None].real, offset[robots, None].imag
+        enter_x, enter_y = (dx - half * np.sign(x)) / x, (dy - half * np.sign(y)) / y
+        enter = np.maximum(enter_x, enter_y)
+        leave = np.minimum((dx + half * np.sign(x)) / x, (dy + half * np.sign(y)) / y)
+        leave = np.minimum(leave, depth[robots])
+        robot, column = np.nonzero((enter < leave) & (leave > NEAR))
+        near = np.maximum(enter[robot, column], np.float32(NEAR))[:, None]
+        far = leave[robot, column][:, None]
+        side = np.where(enter_x > enter_y, np.where(x < 0, 1, 2), np.where(y < 0, 3, 4))
         lid = np.float32(CAMERA_HEIGHT - CUBE_SIZE)  # the top face is this far below the camera
         on_top = (DROP * far >= lid) & (DROP * near < lid)
         on_side = (DROP * near >= lid) & (DROP * near < np.float32(CAMERA_HEIGHT))
-        index[columns] = np.where(on_top, self._cube[0],
-                                  np.where(on_side, face, index[columns]))
+        colour = np.where(on_top, 0, side[robot, column][:, None])
+        index[robots[robot], :, column] = np.where(
+            on_top | on_side, self._cube[colour], index[robots[robot], :, column])
 
 
 def draw_map(axes, scene):

@@ -113,6 +113,13 @@ class Scene:
                "the room is not closed: the robot can drive out of it")
         return grid[flood]
 
+    @cached_property
+    def starts(self):
+        """For each target the reachable (P, 2) points [m] that are 1 m away or more; in a smaller
+        room those that are farthest away."""
+        distances = (np.hypot(*(self.reachable - target).T) for target in self.targets)
+        return [self.reachable[d >= min(1, d.max())] for d in distances]
+
 
 def _check(valid, message):
     if not valid:

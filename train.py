@@ -111,7 +111,7 @@ def train(config, scene, folder):
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
     model = Network(config.memory)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
     env = NavVecEnv(config.robots, scene, "both", config.random_starts)  # line 3: p0 from all of P
     collector = Collector(env, model, REWARD_SCALE, config.seed)
     record, buffer, start = Record(scene), [], time.perf_counter()
