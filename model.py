@@ -3,7 +3,7 @@
 It maps what the robot has seen so far to a distribution over actions, Eq. (1), in the action units
 of the task: linear velocity in [0, 1], angular in [-1, 1].
 
-Axis letters: M episodes, T steps, B = real (not padded) steps, H = 48, W = 64. While robots drive,
+Axis letters: M sequences, T steps, B = real (not padded) steps, H = 48, W = 64. While robots drive,
 T = 1 and M is their number.
 """
 
@@ -17,6 +17,7 @@ FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
+SHUT = -1e4  # a gate's input at which the gate is 0 whatever else comes in
 INITIAL_STD = (0.25, 0.5)  # a quarter of the linear and half of the angular maximum, our choice
 
 
@@ -31,18 +32,27 @@ def orthogonal(layer, gain=1.0):
 
 
 class Memory(nn.Module):
-    """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything."""
+    """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything.
+
+    The LSTM has one input more, 1 at steps that are no steps of an episode. It shuts all gates for
+    good: the memory is zero after such a step, and no gradient passes. So episodes can lie end to
+    end in one sequence, a step apart, and none knows of the one before it.
+    """
 
     def __init__(self, inputs, recurrent):
         super().__init__()
         self.recurrent = recurrent
-        self.layer = orthogonal(nn.LSTM(inputs, HIDDEN, batch_first=True) if recurrent
+        self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN, batch_first=True) if recurrent
                                 else nn.Linear(inputs, HIDDEN))
+        if recurrent:  # torch's order: input gate, forget gate, candidate, output gate
+            column = self.layer.weight_ih_l0.detach()[:, -1]
+            column.view(4, HIDDEN)[:] = torch.tensor([SHUT, SHUT, 0, SHUT])[:, None]
 
-    def forward(self, x, state):
-        """(M, T, inputs), state (M, 2, HIDDEN) -> (M, T, HIDDEN), state."""
+    def forward(self, x, state, real):
+        """(M, T, inputs), state (M, 2, HIDDEN), real (M, T) bool -> (M, T, HIDDEN), state."""
         if not self.recurrent:
             return torch.relu(self.layer(x)), state
+        x = torch.cat([x, ~real[..., None]], -1)
         h, c = state.transpose(0, 1).unsqueeze(1).contiguous()  # (1, M, HIDDEN) each
         y, (h, c) = self.layer(x, (h, c))
         return y, torch.cat([h, c]).transpose(0, 1)
@@ -58,8 +68,8 @@ class Network(nn.Module):
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
         self.memory = memory
-        # Kernels are (height, width). Padding makes sizes those of Fig. 2; where 'same' asks for one
-        # row it is above the image, since padding on both sides costs no copy and reads no further.
+        # Kernels are (height, width), padding makes the sizes those of Fig. 2. Where that asks for
+        # a single row it is the upper one: the lower one of the two that are given is never read.
         relu = 2 ** 0.5
         self.cnn = nn.Sequential(
             orthogonal(nn.Conv2d(3, 32, (6, 8), 4, padding=(1, 2)), relu), nn.ReLU(inplace=True),
@@ -103,8 +113,8 @@ class Network(nn.Module):
 
     def forward(self, observations, state, mask=None):
         """Observations (M, T, ...) and the memory before them -> distribution of actions (M, T, 2),
-        values (M, T), memory after them. Where the mask (M, T) is given and false, steps are
-        padding; images are those of the real steps then, (B, H, W, 3), episode after episode.
+        values (M, T), memory after them. Where the mask (M, T) is given and false, a step is no
+        step of an episode and clears the memory; images are those of the others, (B, H, W, 3).
         """
         target = observations["target"]
         real = torch.ones_like(target[..., 0], dtype=torch.bool) if mask is None else mask
@@ -117,7 +127,7 @@ class Network(nn.Module):
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):
             x = torch.cat([x, last], -1) if k == 1 else x
-            x, after = memory(x, state[:, k])
+            x, after = memory(x, state[:, k], real)
             states.append(after)
         x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
         linear, angular = self.action(x).unbind(-1)

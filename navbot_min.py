@@ -6,8 +6,6 @@ environments. `python navbot_min.py --env env1` drives one robot by a simple rul
 Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
 
-import argparse
-
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -17,9 +15,11 @@ from gymnasium.vector.utils import batch_space
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from command_line import CommandLine
 from render import Camera, H, W, draw_map
+from scene_file import SCENE_FOLDER, load_scene
 from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
-                 ROBOT_RADIUS, SCENE_FOLDER, Scene, SceneError, World, load_scene, wrap_angle)
+                 ROBOT_RADIUS, Scene, SceneError, World, wrap_angle)
 
 ARRIVAL_REWARD, COLLISION_REWARD = 100.0, -50.0  # released config
 PROGRESS_REWARD, STEP_COST = 100.0, 0.05  # c_r [1/m] and c_p of Eq. (4), released config
@@ -234,24 +234,6 @@ class NavEnv(gym.Env):
 for _path in sorted(SCENE_FOLDER.glob("*.toml")):
     gym.register(f"NavBot-{_path.stem}-v0", entry_point=NavEnv, vector_entry_point=NavVecEnv,
                  kwargs={"env": _path.stem})
-
-
-class CommandLine(argparse.ArgumentParser):
-    """argparse whose errors are one sentence and exit code 2, and that guesses no flags."""
-
-    def __init__(self, description):
-        super().__init__(description=description, allow_abbrev=False,
-                         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-
-    def error(self, message):
-        self.exit(2, f"error: {message}\n")
-
-    def parse(self, argv=None):
-        options, unknown = self.parse_known_args(argv)
-        if unknown:
-            known = [flag for action in self._actions for flag in action.option_strings]
-            self.error(f"unknown argument '{unknown[0]}', known are {', '.join(known)}")
-        return options
 
 
 def turn_to_target(observation):

@@ -1,14 +1,16 @@
 """The learner: PPO on whole episodes (Schulman et al. 2017; paper Eq. (2), (3), Algorithm 1).
 
 The letters are those of the formulas and of the code alike: r ratio, A advantage, gamma discount,
-lam (lambda) of GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes of a
+lam (lambda) of GAE, eps clip range. Axis letters: R robots, T steps of an episode, M rows of a
 minibatch, N episodes of an update, K epochs.
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import torch
+from torch import distributed
 from torch.nn.functional import mse_loss
 from torch.nn.utils.rnn import pad_sequence
 
@@ -99,30 +101,47 @@ def advantages(rewards, values, last_value, gamma, lam):
     return values.new_tensor(result)
 
 
-def pad(episodes, batch_advantages):
-    """M episodes as one minibatch, padded with zeros to the longest: a dict of (M, T, ...). Only
-    images, by far the largest, are not padded: (B, H, W, 3), one for each real step."""
-    def stack(sequences):
-        return pad_sequence(list(sequences), batch_first=True)
+def rows(lengths):
+    """Lists of episodes that together fit in rows as long as the longest, one step between two:
+    first fit, the longest first. So hardly a step of a minibatch is padding."""
+    filled, free = [], []
+    for k in np.argsort(lengths)[::-1]:
+        row = next((i for i, room in enumerate(free) if room > lengths[k]), len(free))
+        if row == len(free):
+            filled.append([])
+            free.append(max(lengths) + 1)
+        filled[row].append(k)
+        free[row] -= lengths[k] + 1
+    return filled
 
-    def join(key):
-        return (torch.cat if key == "image" else stack)([e.observations[key] for e in episodes])
-    return {
-        "observations": {key: join(key) for key in episodes[0].observations},
-        "actions": stack(e.actions for e in episodes),
-        "log_probs": stack(e.log_probs for e in episodes),
-        "advantages": stack(batch_advantages),
-        "returns": stack(A + e.values for A, e in zip(batch_advantages, episodes)),
-        "mask": stack(torch.ones(len(e), dtype=torch.bool) for e in episodes)}
+
+def lay(episodes, batch_advantages, device=None):
+    """A minibatch of episodes end to end in M rows of T steps, zeros in between: a dict of
+    (M, T, ...) and `mask`, which of them are real. Images have no zeros between: (B, H, W, 3)."""
+    order = rows([len(e) for e in episodes])
+
+    def stack(sequences):
+        parts = [[part for k in row for part in (sequences[k], torch.zeros_like(sequences[k][:1]))]
+                 for row in order]
+        return pad_sequence([torch.cat(row) for row in parts], batch_first=True).to(device)
+    observations = {key: stack([e.observations[key] for e in episodes])
+                    for key in episodes[0].observations if key != "image"}
+    images = [episodes[k].observations["image"] for k in chain(*order)]
+    observations["image"] = torch.cat(images).to(device)
+    returns = [A + e.values for A, e in zip(batch_advantages, episodes)]
+    return {"observations": observations, "actions": stack([e.actions for e in episodes]),
+            "log_probs": stack([e.log_probs for e in episodes]),
+            "advantages": stack(batch_advantages), "returns": stack(returns),
+            "mask": stack([torch.ones(len(e), dtype=torch.bool) for e in episodes])}
 
 
 def losses(model, batch, eps):
-    """The clipped policy loss, Eq. (3), and the value loss of a padded minibatch, and statistics.
+    """The clipped policy loss, Eq. (3), and the value loss of a minibatch, and statistics.
 
     Every mean is over the real steps alone.
     """
     mask = batch["mask"]
-    state = model.initial_state(len(mask))  # every sequence is a whole episode, from its first step
+    state = model.initial_state(len(mask))
     distribution, values, _ = model(batch["observations"], state, mask)
     log_probs = distribution.log_prob(batch["actions"]).sum(-1)[mask]
     log_r = log_probs - batch["log_probs"][mask]
@@ -137,28 +156,44 @@ def losses(model, batch, eps):
     return policy_loss, value_loss, statistics
 
 
+def total(tensor):
+    """The sum of that tensor over all processes."""
+    if distributed.is_initialized():
+        distributed.all_reduce(tensor)
+    return tensor
+
+
+def average_gradients(model, steps):
+    """Makes the gradients those of the minibatches of all processes together, whose losses are
+    means over so many steps each."""
+    if distributed.is_initialized():
+        all_steps = total(model.log_std.new_tensor(steps))
+        for parameter in model.parameters():
+            total(parameter.grad.mul_(steps / all_steps))
+
+
 def update(model, optimizer, episodes, config, rng):
     """K epochs of minibatches of whole episodes, Algorithm 1. Returns the statistics' means.
 
     config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
-    values = torch.cat([e.values for e in episodes])
-    returns = torch.cat(A) + values
-    std, mean = torch.std_mean(torch.cat(A), correction=0)
-    totals = {}
+    values, every_A, totals = torch.cat([e.values for e in episodes]), torch.cat(A).double(), {}
+    n, first, second = total(torch.stack([every_A ** 0, every_A, every_A ** 2]).sum(1)).tolist()
+    mean, std = first / n, (second / n - (first / n) ** 2) ** 0.5
     for _ in range(config.epochs):
-        order = rng.permutation(len(episodes))
-        for chosen in np.array_split(order, min(config.minibatches, len(order))):
-            batch = pad([episodes[k] for k in chosen], [A[k] for k in chosen])
+        for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
+            batch = lay([episodes[k] for k in chosen], [A[k] for k in chosen], model.log_std.device)
             batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)
             policy_loss, value_loss, statistics = losses(model, batch, config.clip)
             optimizer.zero_grad()
             (policy_loss + VALUE_WEIGHT * value_loss).backward()
+            average_gradients(model, int(batch["mask"].sum()))
             torch.nn.utils.clip_grad_norm_(model.parameters(), MAX_GRADIENT_NORM)
             optimizer.step()
             for name, value in statistics.items():
                 totals.setdefault(name, []).append(value.item())
     statistics = {name: float(np.mean(value)) for name, value in totals.items()}
+    returns = torch.cat(A) + values
     statistics["explained_variance"] = float(1 - (returns - values).var() / returns.var())
     return statistics

@@ -24,9 +24,10 @@ import ppo
 import render
 import sim
 import train
+from scene_file import load_scene, parse_scene
 
 ROOT = Path(__file__).parent
-ENV1, ENV2 = sim.load_scene("env1"), sim.load_scene("env2")
+ENV1, ENV2 = load_scene("env1"), load_scene("env2")
 LESSON = ("navbot_min.py", "sim.py", "render.py", "model.py", "ppo.py", "train.py")
 
 
@@ -49,7 +50,7 @@ def box(**changes):
 
 @pytest.mark.parametrize("v, w", [(0.3, 0.0), (0.3, 1.0), (0.1, -0.4), (0.0, 1.0)])
 def test_constant_velocities_drive_the_closed_form_arc(v, w):
-    world = sim.World([sim.parse_scene(square_room(4.0), "room")])
+    world = sim.World([parse_scene(square_room(4.0), "room")])
     world.place([0], [(0.5, -0.2, 2.0)])
     for _ in range(25):
         assert not world.drive([(v, w)]).any()
@@ -62,7 +63,7 @@ def test_constant_velocities_drive_the_closed_form_arc(v, w):
 
 def test_a_robot_at_full_speed_never_crosses_the_thinnest_wall():
     thin = box(thickness=3.98, length=0.001, x=0.7)
-    scene = sim.parse_scene(square_room(extra=[thin], training_targets=[[-1.0, 0.0]]), "room")
+    scene = parse_scene(square_room(extra=[thin], training_targets=[[-1.0, 0.0]]), "room")
     world, hits = sim.World([scene] * 64), 0
     world.place(slice(None), np.c_[np.zeros(64), np.linspace(-1, 1, 64), np.linspace(-1, 1, 64)])
     for _ in range(50):  # 20 s, never reset
@@ -108,7 +109,7 @@ def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
 
 
 def test_range_readings_match_the_distances_to_the_walls():
-    world = sim.World([sim.parse_scene(square_room(), "room")])
+    world = sim.World([parse_scene(square_room(), "room")])
     world.place([0], [(0.5, 0.25, 0.3)])
     readings = world.range_readings(np.array([0, 0.5, 1, -0.5]) * np.pi - 0.3, 8.0)
     assert np.allclose(readings, [(1.5, 1.75, 2.5, 2.25)])
@@ -144,7 +145,7 @@ def test_rooms_are_the_papers(scene):
 ])
 def test_a_bad_scene_is_one_error_that_names_the_item(change, words):
     with pytest.raises(sim.SceneError, match=re.escape(words)):
-        sim.parse_scene(square_room() | change, "room")
+        parse_scene(square_room() | change, "room")
 
 
 # --------------------------------------------------------------------------------------- the camera
@@ -195,7 +196,7 @@ def test_images_are_those_of_the_slow_raycaster():
     low = box(material="wood", x=1.0, y=0.3, yaw=0.4, length=0.4, thickness=0.3, height=0.5)
     middle = box(material="brick", x=1.6, y=-0.2, yaw=-0.5, length=0.8, thickness=0.2, height=1.1)
     tall = box(x=1.9, y=1.0, yaw=0.2, length=0.3, thickness=0.3, height=1.6)
-    room = sim.parse_scene(square_room(3.0, extra=[low, middle, tall], new_targets=[[-1.0, 1.0]],
+    room = parse_scene(square_room(3.0, extra=[low, middle, tall], new_targets=[[-1.0, 1.0]],
                                        training_targets=[[-1.0, 0.0]]), "room")
     cases = [(room, (0.0, 0.0, 0.1), (1.9, 0.4)), (room, (0.1, -0.1, 0.2), (0.6, 0.1))]
     for scene in (ENV1, ENV2):
@@ -213,7 +214,7 @@ def test_images_are_those_of_the_slow_raycaster():
 
 def test_a_red_wall_seen_head_on_is_flat_and_red():
     wall = box(material="brick", length=0.1, thickness=3.9, height=1.5)
-    scene = sim.parse_scene(square_room(extra=[wall], training_targets=[[-1.0, 0.0]]), "room")
+    scene = parse_scene(square_room(extra=[wall], training_targets=[[-1.0, 0.0]]), "room")
     image = photograph(scene, np.zeros((1, 3)), (-1.0, 0.0))[0]
     assert image.shape == (48, 64, 3) and image.dtype == np.uint8
     foot = (image == render.FLOOR).all(-1).argmax(0)  # first row of floor in each column
@@ -250,7 +251,7 @@ def test_rewards_are_those_of_eq_4(before, after, arrived, hit, paid):
 
 
 def test_arrival_wins_over_a_collision_in_the_same_step():
-    scene = sim.parse_scene(square_room(training_targets=[[1.95, 0.0]]), "room")
+    scene = parse_scene(square_room(training_targets=[[1.95, 0.0]]), "room")
     env = navbot_min.NavEnv(scene, targets="training")
     env.reset()
     env.vector.world.place([0], [(1.75, 0.0, 0.0)])  # 0.20 m from the target, 0.25 m from the wall
@@ -377,6 +378,7 @@ def test_the_network_has_the_papers_shapes():
     net.see(torch.zeros(1, 48, 64, 3, dtype=torch.uint8))
     assert shapes == [(32, 12, 16), (64, 6, 8), (64, 3, 4), (64, 2, 2)]  # channels, height, width
     counted = sum(p.numel() for name, p in net.named_parameters() if name != "log_std")
+    counted -= 2 * 4 * model.HIDDEN  # the columns that clear the memories are no weights
     assert counted == 948_931 and net.log_std.numel() == 2
 
 
@@ -405,7 +407,7 @@ def test_one_robots_memory_never_reaches_another():
 
 def test_gradients_reach_the_first_convolution_and_both_lstms():
     net = network()
-    batch = ppo.pad(random_episodes([4, 6]), [torch.ones(4), -torch.ones(6)])
+    batch = ppo.lay(random_episodes([4, 6]), [torch.ones(4), -torch.ones(6)])
     for k in (0, 1):
         net.zero_grad()
         ppo.losses(net, batch, 0.2)[k].backward()  # the policy loss, then the value loss
@@ -440,12 +442,12 @@ def test_padding_changes_no_loss_and_no_gradient():
     steps, names, together, apart = 17, [n for n, _ in net.named_parameters()], [], []
     for k in (0, 1):  # policy loss, value loss
         net.zero_grad()
-        loss = ppo.losses(net, ppo.pad(episodes, A), 0.2)[k]
+        loss = ppo.losses(net, ppo.lay(episodes, A), 0.2)[k]
         loss.backward()
         together.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
                                        if p.grad is not None}))
         net.zero_grad()
-        loss = sum(len(e) / steps * ppo.losses(net, ppo.pad([e], [a]), 0.2)[k]
+        loss = sum(len(e) / steps * ppo.losses(net, ppo.lay([e], [a]), 0.2)[k]
                    for e, a in zip(episodes, A))
         loss.backward()
         apart.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
@@ -463,7 +465,7 @@ def test_the_clipped_loss_is_that_of_eq_3():
     log_probs = distribution.log_prob(episodes[0].actions).sum(-1)[0].detach()
     episodes[0].log_probs = log_probs - torch.tensor([0.5, 0.5, -0.5, 0.05])  # log ratios
     expected = -np.mean([1.2 * 1, math.exp(0.5) * -1, math.exp(-0.5) * 2, math.exp(0.05) * -0.5])
-    loss = ppo.losses(net, ppo.pad(episodes, [A]), 0.2)[0].item()
+    loss = ppo.losses(net, ppo.lay(episodes, [A]), 0.2)[0].item()
     assert loss == pytest.approx(expected, rel=1e-4)
 
 
@@ -480,14 +482,15 @@ def test_the_first_minibatch_between_two_updates_has_ratio_1_and_kl_0():
     torch.nn.init.orthogonal_(net.action.weight)  # so that the memory shows in the actions
     collector = ppo.Collector(navbot_min.NavVecEnv(4, max_episode_steps=25), net, 0.01, seed=0)
     episodes = [episode for episode, _ in collect(collector, 8)]
-    batch = ppo.pad(episodes, [torch.zeros(len(e)) for e in episodes])
-    state = net.initial_state(len(episodes))
+    batch = ppo.lay(episodes, [torch.zeros(len(e)) for e in episodes])
+    state = net.initial_state(len(batch["mask"]))
     distribution, values, _ = net(batch["observations"], state, batch["mask"])
     r = (distribution.log_prob(batch["actions"]).sum(-1) - batch["log_probs"]).exp()[batch["mask"]]
     assert (r - 1).abs().max() < 1e-4 and len({len(e) for e in episodes}) > 1
     assert abs(ppo.losses(net, batch, 0.2)[2]["kl"]) < 1e-6
-    for m, episode in enumerate(episodes):  # memory was cleared: values are those of fresh episodes
-        assert torch.allclose(values[m, :len(episode)], episode.values, atol=1e-4)
+    order = [k for row in ppo.rows([len(e) for e in episodes]) for k in row]
+    expected = torch.cat([episodes[k].values for k in order])  # memory was cleared between episodes
+    assert torch.allclose(values[batch["mask"]], expected, atol=1e-4) and len(batch["mask"]) < 8
 
 
 def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_limit():
@@ -597,10 +600,57 @@ def test_the_same_seed_writes_the_same_episodes_byte_for_byte(runs):
     assert first == second and len(list(csv.reader(first.decode().splitlines()))) > 20
 
 
+def torchrun(processes, script, *arguments, cwd):
+    """Starts the script in so many processes that share the work."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node",
+               str(processes), str(script), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+
+
+def test_one_process_under_torchrun_gives_what_no_torchrun_gives_and_two_share_the_work(
+        runs, tmp_path):
+    for processes in (1, 2):
+        done = torchrun(processes, ROOT / "train.py", "--env", "env1", *TINY, "--out",
+                        str(processes), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    alone = sorted(runs[0].iterdir())[0]
+    assert (tmp_path / "1/episodes.csv").read_bytes() == (alone / "episodes.csv").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1", "2"]
+    summary = json.loads((tmp_path / "2/summary.json").read_text())
+    rows = list(csv.DictReader(open(tmp_path / "2/episodes.csv")))
+    assert summary["steps"] == 600 and summary["episodes"] == len(rows) > 20
+    assert len(list(csv.reader(open(tmp_path / "2/updates.csv")))) > 1
+
+
+def test_two_processes_average_their_gradients_by_real_steps(tmp_path):
+    (tmp_path / "half.py").write_text(f"""
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+import torch
+from torch import distributed
+import ppo, test_all
+distributed.init_process_group("gloo")
+net, episodes = test_all.network(), test_all.random_episodes([3, 9, 5])
+mine = episodes[:1] if distributed.get_rank() == 0 else episodes[1:]
+batch = ppo.lay(mine, [e.rewards for e in mine])
+sum(ppo.losses(net, batch, 0.2)[:2]).backward()
+ppo.average_gradients(net, int(batch["mask"].sum()))
+torch.save([p.grad for p in net.parameters()], f"{{distributed.get_rank()}}.pt")
+""")
+    done = torchrun(2, tmp_path / "half.py", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    net, episodes = network(), random_episodes([3, 9, 5])
+    batch = ppo.lay(episodes, [e.rewards for e in episodes])
+    sum(ppo.losses(net, batch, 0.2)[:2]).backward()
+    first, second = (torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1))
+    for together, a, b in zip(net.parameters(), first, second):
+        assert torch.equal(a, b) and torch.allclose(a, together.grad, rtol=1e-3, atol=1e-6)
+
+
 def test_a_saved_model_acts_as_before(runs):
     folder = sorted(runs[0].iterdir())[0]
     saved = torch.load(folder / "model.pt", weights_only=True)
-    scene = sim.parse_scene(saved["scene"], saved["scene"]["name"])
+    scene = parse_scene(saved["scene"], saved["scene"]["name"])
     assert scene == ENV1
     net = model.Network(saved["memory"])
     net.load_state_dict(saved["weights"])
@@ -634,7 +684,7 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
     assert ENV1.clearance(poses[:, :2]).min() > sim.ROBOT_RADIUS
     assert np.hypot(*(poses[:, :2] - ENV1.targets[env._target]).T).min() >= 1
     assert (np.ptp(poses[elsewhere], axis=0) > (3, 1.5, 5)).all()
-    tiny = sim.parse_scene(square_room(0.5, training_targets=[[0.3, 0.0]],
+    tiny = parse_scene(square_room(0.5, training_targets=[[0.3, 0.0]],
                                        new_targets=[[0.0, 0.3]]), "nowhere 1 m from its target")
     env = navbot_min.NavVecEnv(4, tiny, "training", random_starts=1.0)
     assert (env.reset(seed=0)[1]["pose"][:, 0] < 0).all()
@@ -722,17 +772,20 @@ def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
 
 
 def readme_table(heading):
-    """The rows of the README's table whose header starts with that word."""
+    """The rows of the README's tables whose header starts with that word."""
     text = (ROOT / "README.md").read_text()
-    rows = re.search(rf"^\| {heading}.*\n\|[-| ]+\n((?:\|.*\n)+)", text, re.M)[1].splitlines()
-    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    tables = re.findall(rf"^\| {heading}.*\n\|[-| ]+\n((?:\|.*\n)+)", text, re.M)
+    return [[cell.strip() for cell in row.strip("|").split("|")]
+            for table in tables for row in table.splitlines()]
 
 
 def test_imports_are_those_of_the_readmes_table():
     ours = {path.stem for path in ROOT.glob("*.py")}
-    for name, _, allowed, *_ in readme_table("file"):
+    listed = readme_table("file")
+    assert {name.strip("`") for name, *_ in listed} == {f"{name}.py" for name in ours}
+    for name, _, allowed, *_ in listed:
         name = name.strip("`")
-        if not name.endswith(".py") or name == "test_all.py":
+        if name == "test_all.py":
             continue
         tree, found = ast.parse((ROOT / name).read_text()), set()
         for node in ast.walk(tree):
@@ -742,7 +795,7 @@ def test_imports_are_those_of_the_readmes_table():
                 found.add(node.module.split(".")[0])
         assert found & ours == set(re.findall(r"\w+", allowed)), name
         assert not ("torch" in found and "pymunk" in found), name
-        if name in ("sim.py", "render.py", "navbot_min.py"):
+        if name in ("sim.py", "scene_file.py", "render.py", "navbot_min.py", "command_line.py"):
             assert "torch" not in found
 
 

@@ -6,30 +6,33 @@ summary.json.
 """
 
 import json
+import os
 import sys
 import time
 from collections import deque
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import distributed
 from tqdm import tqdm
 
+from command_line import CommandLine, option
 from evaluate import draw_curves, evaluate, report
 from model import MEMORIES, REWARD_SCALE, Network
-from navbot_min import CommandLine, NavVecEnv
+from navbot_min import NavVecEnv
 from ppo import Collector, update
 from runs import RunFolder
-from sim import SceneError, load_scene
+from scene_file import load_scene
+from sim import SceneError
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
 
-
-def option(default, text, low=None, high=None, choices=None):
-    """A field of the configuration: its default, what it is, and which values are valid."""
-    return field(default=default, metadata=dict(text=text, low=low, high=high, choices=choices))
+# Which of how many processes this is: `torchrun --nproc-per-node 2 train.py` starts two.
+RANK, PROCESSES = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
 
 
 @dataclass
@@ -42,37 +45,16 @@ class Config:
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
-    epochs: int = option(4, "K of Algorithm 1", 1)
-    minibatches: int = option(2, "an epoch's minibatches of whole episodes", 1)
+    epochs: int = option(2, "K of Algorithm 1", 1)
+    minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
     learning_rate: float = option(6e-4, "of Adam", 1e-9, 1.0)
     gamma: float = option(0.99, "discount of a step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
     clip: float = option(0.2, "epsilon of Eq. (3)", 1e-9, 1.0)
+    device: str = option("cpu", "where the network runs", choices=("cpu", "cuda"))
     evaluation_episodes: int = option(1000, "frozen episodes to targets of each kind", 1)
     out: str = option("", "run folder, must not exist; by default runs/<env>-seed<k>")
     json: bool = option(False, "print the summary alone, as JSON, on standard output")
-
-
-def read_config(argv):
-    """The configuration from the command line, checked; and the parser, for later errors."""
-    parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
-    for item in fields(Config):
-        flag, text = f"--{item.name.replace('_', '-')}", item.metadata["text"]
-        if item.type is bool:
-            parser.add_argument(flag, action="store_true", help=text)
-        else:
-            parser.add_argument(flag, type=item.type, default=item.default, help=text,
-                                choices=item.metadata["choices"])
-    config = Config(**vars(parser.parse(argv)))
-    for item in fields(Config):
-        low, high = item.metadata["low"], item.metadata["high"]
-        value, flag = getattr(config, item.name), f"--{item.name.replace('_', '-')}"
-        if low is not None and not low <= value <= (np.inf if high is None else high):
-            valid = f"from {low} up" if high is None else f"from {low} to {high}"
-            parser.error(f"{flag} is {value}, it must be {valid}")
-    if config.out and Path(config.out).exists():
-        parser.error(f"--out '{config.out}' exists already, it must name a new folder")
-    return config, parser
 
 
 class Record:
@@ -106,34 +88,46 @@ class Record:
         return len(self._last["new"]) == WINDOW and self.success("new") > SUCCESS_RATE
 
 
+def gather(mine):
+    """What every process has, in the order of their ranks."""
+    everyone = [mine] * PROCESSES
+    if PROCESSES > 1:
+        distributed.all_gather_object(everyone, mine)
+    return everyone
+
+
 def train(config, scene, folder):
-    """Algorithm 1. Returns the model and the summary so far; what happened is in the folder."""
+    """Algorithm 1. Returns the model and the summary so far; what happened is in the folder.
+
+    Several processes share the robots and the episodes of an update. All record the same and so
+    stop at the same step; one of them has a folder and writes, the others have None.
+    """
     torch.manual_seed(config.seed)
-    rng = np.random.default_rng(config.seed)
-    model = Network(config.memory)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
-    env = NavVecEnv(config.robots, scene, "both", config.random_starts)  # line 3: p0 from all of P
-    collector = Collector(env, model, REWARD_SCALE, config.seed)
+    model = Network(config.memory).to(config.device)
+    rng = np.random.default_rng([config.seed, RANK])  # weights are the same, dice each has its own
+    torch.manual_seed(rng.integers(2 ** 31))
+    optimizer = torch.optim.Adam(model.parameters(), config.learning_rate, eps=1e-5, fused=True)
+    env = NavVecEnv(config.robots // PROCESSES, scene, "both", config.random_starts)  # line 3: P
+    collector = Collector(env, model, REWARD_SCALE, int(rng.integers(2 ** 31)))
     record, buffer, start = Record(scene), [], time.perf_counter()
-    bar = tqdm(total=config.steps, unit=" steps", file=sys.stderr, mininterval=0.5)
+    bar = tqdm(total=config.steps, unit=" steps", mininterval=0.5, disable=RANK > 0)
     try:
-        while record.steps < config.steps:
+        while record.steps < config.steps and not record.rule_is_met():
             record.steps += config.robots
             bar.update(config.robots)
-            for episode, info in collector.step():
-                folder.add_row("episodes.csv", record.add(info))
-                if not info["new"]:  # what happens on the way to a new target is never learnt from
-                    buffer.append(episode)
-                if record.rule_is_met():
-                    break
-            if record.rule_is_met():
-                break
-            if len(buffer) >= config.episodes_per_update:  # N of them stored
+            ended = collector.step()  # what happens on the way to a new target is never learnt from
+            buffer += [episode for episode, info in ended if not info["new"]]
+            infos, stored = zip(*gather(([info for _, info in ended], len(buffer))))
+            for info in chain(*infos):
+                if not record.rule_is_met():
+                    row = record.add(info)
+                    folder and folder.add_row("episodes.csv", row)
+            if not record.rule_is_met() and min(stored) >= config.episodes_per_update // PROCESSES:
                 statistics = update(model, optimizer, buffer, config, rng)
                 buffer.clear()
                 speed = round(record.steps / (time.perf_counter() - start), 1)
-                folder.add_row("updates.csv", {"steps": record.steps, **statistics,
-                                               "steps_per_second": speed})
+                folder and folder.add_row("updates.csv", {"steps": record.steps, **statistics,
+                                                          "steps_per_second": speed})
                 bar.set_postfix(record.rates())
     except KeyboardInterrupt:
         bar.write("interrupted: training ends here, and its policy is evaluated", file=sys.stderr)
@@ -147,11 +141,35 @@ def train(config, scene, folder):
         "frozen": None}
 
 
+def read_config(argv):
+    """The configuration from the command line, checked; and the parser, for later errors."""
+    parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
+    config = parser.read(Config, argv)
+    if RANK == 0 and config.out and Path(config.out).exists():
+        parser.error(f"--out '{config.out}' exists already, it must name a new folder")
+    N = config.episodes_per_update
+    for flag, value in (("robots", config.robots), ("episodes-per-update", N)):
+        if value % PROCESSES:
+            parser.error(f"--{flag} is {value}, it must be a multiple of the {PROCESSES} processes")
+    if config.minibatches > N // PROCESSES:
+        parser.error(f"--minibatches is {config.minibatches}, it must be at most {N // PROCESSES}, "
+                     "the episodes of an update")
+    if config.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device is cuda, but torch finds no such GPU here; it must be cpu")
+    return config, parser
+
+
 def main(argv=None):
     """The command line: train, save, evaluate the frozen policy, summarise."""
     config, parser = read_config(argv)
+    if config.device == "cuda":
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
+    if PROCESSES > 1:
+        distributed.init_process_group()
     try:
         scene = load_scene(config.env)
+        if RANK > 0:
+            return train(config, scene, None)
         folder = RunFolder(config.out, f"runs/{scene.name}-seed{config.seed}", asdict(config))
     except (SceneError, OSError) as error:
         parser.error(error)
