@@ -1,20 +1,30 @@
-"""What a frozen policy can do: fresh episodes, outcomes, intervals; and the curves of training."""
+"""What a frozen policy can do: fresh episodes, outcomes, intervals, path lengths.
 
-import csv
+`python evaluate.py runs/env1-seed0` examines a run, `python evaluate.py --planner bug` a planner.
+"""
+
+import json
 import math
+import pickle
+import sys
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
-from navbot_min import CONTROL_PERIOD, OUTCOMES, NavVecEnv
+from command_line import CommandLine, option
+from model import Network
+from navbot_min import MAX_COMMAND, OUTCOMES, NavVecEnv
+from pictures import draw_floor, draw_trajectories, write_episode
+from planners import ANGLES, PLANNERS, RANGE, visibility_graph
+from scene_file import load_scene, parse_scene
+from sim import CONTROL_PERIOD, ROBOT_RADIUS, SceneError
 
 EPISODES_PER_ROBOT = 8  # at most; the robots of all targets drive side by side
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
-SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
-           "env2": {"training": 500, "new": 100}}
-PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
 
 
 def wilson(successes, n):
@@ -26,77 +36,185 @@ def wilson(successes, n):
     return max(0.0, (centre - spread) / (1 + z2 / n)), min(1.0, (centre + spread) / (1 + z2 / n))
 
 
-def rollouts(model, scene, quotas, actions, seed):
-    """Drives `quotas[k]` episodes to target k, for every k; returns their infos, one dict each.
+class Exam(NavVecEnv):
+    """Episodes as a protocol asks for them: `paper`, the paper's start and heading; `perturbed`,
+    the start moved by 5 cm and 10 degrees, one standard deviation each, drawn again until free;
+    `anywhere`, any reachable start and goal at least 1 m apart, at any heading."""
+
+    def __init__(self, scene, targets, protocol):
+        super().__init__(len(targets), scene, targets)
+        self.protocol = protocol
+
+    def draw(self, r):
+        target, goal, start = super().draw(r)
+        scene, rng = self.world.scenes[r], self.np_random
+        while self.protocol == "perturbed":
+            moved = start + rng.normal(0, (0.05, 0.05, np.radians(10)))
+            if scene.clearance(moved[:2]) > ROBOT_RADIUS:
+                return target, goal, moved
+        if self.protocol == "anywhere":
+            goal = scene.reachable[rng.integers(len(scene.reachable))]
+            away = scene.reachable[np.hypot(*(scene.reachable - goal).T) >= 1]
+            start = (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
+        return target, goal, start
+
+
+class Policy:
+    """Drives an Exam's robots with a network. actions: "sampled" or "mean"."""
+
+    def __init__(self, model, actions, seed):
+        self.model, self.sampled = model, actions == "sampled"
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def begin(self, env):
+        self.state = self.model.initial_state(env.num_envs)
+
+    def act(self, env, observations):
+        mean, sampled, _, _, self.state = self.model.act(observations, self.state, self.generator)
+        return (sampled if self.sampled else mean).numpy()
+
+    def end(self, env, r):
+        self.state[r] = 0
+
+
+class Planned:
+    """Drives an Exam's robots with a planner, each robot with one of its own."""
+
+    def __init__(self, name, scene, seed):
+        self.planner, self.scene = PLANNERS[name], scene
+        self.rng = np.random.default_rng(seed)
+
+    def begin(self, env):
+        self.planners = [self.planner(self.scene, self.rng) for _ in range(env.num_envs)]
+        for r in range(env.num_envs):
+            self.end(env, r)
+
+    def act(self, env, observations):
+        angles = ANGLES if self.planner.senses else []
+        readings = env.world.range_readings(angles, RANGE)
+        return np.array([planner.act(pose, reading) for planner, pose, reading
+                         in zip(self.planners, env.world.poses, readings)]) / MAX_COMMAND
+
+    def end(self, env, r):
+        self.planners[r].begin(env.world.poses[r], env.goals[r])
+
+
+def rollouts(driver, scene, quotas, protocol="paper", seed=0):
+    """Drives `quotas[k]` episodes to target k, for every k; returns a dict each: what `final_info`
+    of the environment holds, `start` (3,), `goal` (2,), `path` (T + 1, 3) poses, `metres` driven.
 
     Which episodes count is fixed before they start, by a quota per robot: counting the first n that
-    finish would favour short collisions. actions: "sampled" or "mean".
+    finish would favour short collisions.
     """
     targets, quota = [], []
     for k, n in enumerate(quotas):
         robots = math.ceil(n / EPISODES_PER_ROBOT)
         targets += [k] * robots
         quota += [n // robots + (i < n % robots) for i in range(robots)]
-    env, quota = NavVecEnv(len(targets), scene, targets=targets), np.array(quota)
-    generator = torch.Generator().manual_seed(seed)
-    observations, _ = env.reset(seed=seed)
-    state, episodes = model.initial_state(len(targets)), []
+    env, quota, episodes = Exam(scene, targets, protocol), np.array(quota), []
+    observations, infos = env.reset(seed=seed)
+    paths, metres = [[pose] for pose in infos["pose"]], np.zeros(len(targets))
+    driver.begin(env)
     while quota.any():
-        mean, sampled, _, _, state = model.act(observations, state, generator)
-        chosen = sampled if actions == "sampled" else mean
-        observations, _, terminated, truncated, infos = env.step(chosen.numpy())
+        actions = driver.act(env, observations)
+        starts, goals = env.starts.copy(), env.goals.copy()
+        observations, _, terminated, truncated, infos = env.step(actions)
+        metres += np.clip(actions[:, 0], 0, 1) * MAX_COMMAND[0] * CONTROL_PERIOD
+        for path, pose in zip(paths, infos["pose"]):
+            path.append(pose)
         for r in np.flatnonzero(terminated | truncated):
-            state[r] = 0
             if quota[r]:
                 quota[r] -= 1
-                info = infos["final_info"]
-                episodes.append({key: value[r].item() for key, value in info.items()})
+                info = {key: value[r].item() for key, value in infos["final_info"].items()}
+                episodes.append(info | {"start": starts[r], "goal": goals[r], "metres": metres[r],
+                                        "path": np.array(paths[r])})
+            paths[r], metres[r] = [env.world.poses[r]], 0
+            driver.end(env, r)
     return episodes
 
 
-def summarise(episodes):
-    """Outcomes of those episodes as fractions that sum to 1, success with its 95 % interval, and
-    the mean time to arrive [s], None where none arrived. `spl` is not computed yet."""
+def watch(driver, scene, target, seed=0):
+    """One episode to that target, by its index: the pose, image and velocity of every step."""
+    env = Exam(scene, [target], "paper")
+    observations, infos = env.reset(seed=seed)
+    driver.begin(env)
+    frames, over = [(infos["pose"][0], observations["image"][0], np.zeros(2))], False
+    while not over:
+        observations, _, terminated, truncated, infos = env.step(driver.act(env, observations))
+        over = terminated[0] or truncated[0]
+        seen = infos["final_obs"][0] if over else {key: v[0] for key, v in observations.items()}
+        frames.append((infos["pose"][0], seen["image"].copy(), seen["velocity"]))
+    return frames
+
+
+@lru_cache(maxsize=None)
+def shortest_path(scene, start, goal):
+    """Metres that the robot's disc has to drive at least from start (x, y) until it arrives at the
+    goal (x, y); inf where it cannot."""
+    return visibility_graph(scene).path(start, goal)[1]
+
+
+def spl(success, shortest, metres):
+    """Success weighted by path length of one episode (Anderson et al. 2018, Eq. 1): the shortest
+    path over what was driven. 1 where nothing had to be driven."""
+    if not success or shortest == math.inf:
+        return 0.0
+    return shortest / max(shortest, metres) if shortest > 0 else 1.0
+
+
+def summarise(scene, episodes):
+    """Outcomes of those episodes as fractions that sum to 1, success with its 95 % interval, mean
+    SPL, and the mean time to arrive [s], None where none arrived."""
     n = len(episodes)
     counts = {name: sum(e["outcome"] == name for e in episodes) for name in OUTCOMES}
     low, high = wilson(counts["arrival"], n)
     times = [e["length"] * CONTROL_PERIOD for e in episodes if e["outcome"] == "arrival"]
+    weighted = [spl(e["outcome"] == "arrival", shortest_path(
+        scene, tuple(e["start"][:2].tolist()), tuple(e["goal"].tolist())), e["metres"])
+        for e in episodes]
     return {"n": n, "success": counts["arrival"] / n, "low": low, "high": high,
-            "collision": counts["collision"] / n, "timeout": counts["timeout"] / n, "spl": None,
+            "collision": counts["collision"] / n, "timeout": counts["timeout"] / n,
+            "spl": sum(weighted) / n,
             "seconds_to_arrive": sum(times) / len(times) if times else None}
 
 
-def evaluate(model, scene, episodes=1000, actions="sampled", seed=0):
-    """Frozen evaluation by the paper's protocol: its fixed start, no learning, fresh episodes.
+def evaluate(driver, scene, episodes=1000, protocol="paper", seed=0, actions="sampled"):
+    """Frozen evaluation: no learning, fresh episodes. Returns what `evaluation.json` holds, and the
+    episodes.
 
-    episodes: so many of each kind, training and new, split evenly over its targets; with mean
-    actions a fixed start gives one and the same episode each time, so one a target.
-    Returns what `evaluation.json` holds.
+    driver: a Policy or Planned. episodes: so many of each kind, training and new, split evenly over
+    its targets; by `anywhere`, so many in all.
     """
     counts = [len(scene.training_targets), len(scene.new_targets)]
     quotas = [max(1, episodes // count + (k < episodes % count))
               for count in counts for k in range(count)]
-    if actions == "mean":
-        quotas = [1] * len(quotas)
-    done = rollouts(model, scene, quotas, actions, seed)
-    return {"protocol": "paper", "actions": actions,
-            "training": summarise([e for e in done if not e["new"]]),
-            "new": summarise([e for e in done if e["new"]]),
-            "targets": [{"x": float(x), "y": float(y),
-                         "kind": "training" if k < counts[0] else "new",
-                         **summarise([e for e in done if e["target"] == k])}
-                        for k, (x, y) in enumerate(scene.targets)]}
+    anywhere = protocol == "anywhere"
+    done = rollouts(driver, scene, [episodes] if anywhere else quotas, protocol, seed)
+    result = {"protocol": protocol, "actions": actions, "training": None, "new": None}
+    if anywhere:
+        return result | {"anywhere": summarise(scene, done), "targets": []}, done
+    for kind in ("training", "new"):
+        result[kind] = summarise(scene, [e for e in done if e["new"] == (kind == "new")])
+    result["targets"] = [{"x": float(x), "y": float(y),
+                          "kind": "training" if k < counts[0] else "new",
+                          **summarise(scene, [e for e in done if e["target"] == k])}
+                         for k, (x, y) in enumerate(scene.targets)]
+    return result, done
 
 
 def table(result):
     """An evaluation as lines of text: all targets of a kind, then a target a line."""
     lines = []
-    for name, row in [(f"all {kind} targets", result[kind]) for kind in ("training", "new")] + [
+    for name, row in [(f"all {kind} targets", result[kind]) for kind in ("training", "new")
+                      if result[kind]] + [("any free target", result.get("anywhere"))] + [
             (f"{t['kind']} ({t['x']}, {t['y']})", t) for t in result["targets"]]:
+        if row is None:
+            continue
         time = f"{row['seconds_to_arrive']:.1f} s" if row["seconds_to_arrive"] else "-"
         lines.append(f"{name:23}  success {row['success']:6.1%} [{row['low']:.1%}, "
-                     f"{row['high']:.1%}]  collision {row['collision']:6.1%}"
-                     f"  timeout {row['timeout']:6.1%}  arrives in {time}  n {row['n']}")
+                     f"{row['high']:.1%}]  collision {row['collision']:6.1%}  "
+                     f"timeout {row['timeout']:6.1%}  SPL {row['spl']:.2f}  "
+                     f"arrives in {time}  n {row['n']}")
         if "mean_action_arrives" in row:
             lines[-1] += "  mean action " + ("arrives" if row["mean_action_arrives"] else "fails")
     return "\n".join(lines)
@@ -115,36 +233,79 @@ def report(summary):
             + table(summary["frozen"]))
 
 
-def draw_curves(episodes, env, stop_rate):
-    """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind.
+class RunError(ValueError):
+    """A run that cannot be used; the message names it and says why."""
 
-    episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. Returns a Figure.
-    """
-    with open(PAPER_CURVES, newline="") as file:
-        paper = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    figure = Figure(figsize=(11, 7), layout="constrained")
-    panels = figure.subplots(2, 2, sharey="row")
-    for column, (kind, colour) in enumerate((("training", "#1f4fd8"), ("new", "#12913a"))):
-        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
-        rows = [row for row in episodes if row["kind"] == kind]
-        window = SPACING.get(env, {}).get(kind, 100)
-        ends = [*range(window, len(rows), window), len(rows)] if rows else []
-        arrived = [row["outcome"] == "arrival" for row in rows]
-        returns = [row["return"] for row in rows]
-        ours = {"success_last_100": [100 * np.mean(arrived[max(0, n - 100):n]) for n in ends],
-                "mean_return": [np.mean(returns[(n - 1) // window * window:n]) for n in ends]}
-        for i, (key, label, scale) in enumerate((
-                ("success_last_100", "success rate, last 100 episodes [%]", 100),
-                ("mean_return", "average reward of an episode", 1))):
-            axes = panels[i, column]
-            axes.plot([float(point["episodes"]) for point in theirs],
-                      [scale * float(point[key]) for point in theirs], color="#b0b0b0",
-                      label="paper (released records)" if theirs else None)
-            axes.plot(ends, ours[key], color=colour, marker="o", ms=3, label="this run")
-            axes.set(xlabel=f"episodes to {kind} targets", ylabel=label if column == 0 else None)
-            axes.grid(alpha=0.3)
-        panels[0, column].axhline(100 * stop_rate, color="black", lw=0.8, ls="--")
-        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
-        panels[0, column].legend(loc="upper left")
-    figure.suptitle(f"{env}: this run, and the paper's (dashed: the rate r at which it stops)")
-    return figure
+
+def load_run(path):
+    """The network and the scene of a run folder, or of its weights' file. Raises RunError; what
+    is in the file is never executed."""
+    file = Path(path) / "model.pt" if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise RunError(f"run '{path}' has no {file.name}: it must be a run folder or a .pt file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about files that are none of ours: the error says it
+            saved = torch.load(file, weights_only=True, map_location="cpu")
+        scene = parse_scene(saved["scene"], saved["scene"]["name"])
+        model = Network(saved["memory"], saved["without"])
+        model.load_state_dict(saved["weights"])
+    except (pickle.UnpicklingError, EOFError, RuntimeError, KeyError, TypeError, ValueError,
+            AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunError(f"'{file}' is not a whole run of this network: {reason[:200]}") from None
+    return model, scene
+
+
+@dataclass
+class Options:
+    """An evaluation."""
+    planner: str = option("", "a planner instead of a run", choices=["", *PLANNERS])
+    env: str = option("", "carry the policy into another room: a scene's name or path")
+    protocol: str = option("paper", "where episodes start and lead",
+                           choices=("paper", "perturbed", "anywhere"))
+    episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
+    seed: int = option(0, "of every random number", 0)
+    json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
+
+
+def main(argv=None):
+    """The command line: evaluate, print, write the evaluation and its pictures."""
+    parser = CommandLine("Evaluate a frozen policy, or a planner, on fresh episodes.")
+    argv = sys.argv[1:] if argv is None else list(argv)
+    run = argv.pop(0) if argv and not argv[0].startswith("-") else ""
+    parser.usage = "evaluate.py [RUN] [options]"
+    options = parser.read(Options, argv)
+    if bool(run) == bool(options.planner):
+        parser.error("give either a run (a folder or a .pt file) or --planner")
+    actions = "sampled" if options.protocol == "paper" else "mean"
+    try:
+        model, scene = load_run(run) if run else (None, load_scene(options.env or "env1"))
+        carried = bool(run and options.env)
+        scene = load_scene(options.env) if carried else scene
+        driver = (Policy(model, actions, options.seed) if run
+                  else Planned(options.planner, scene, options.seed))
+        name = options.planner or Path(run).stem
+        folder = Path(run) if run and Path(run).is_dir() else Path("evaluations") / (
+            f"{name}-{scene.name}" if options.planner or carried else name)
+        suffix = (f"-{scene.name}" if carried and folder == Path(run) else "") + (
+            "" if options.protocol == "paper" else f"-{options.protocol}")
+        folder.mkdir(parents=True, exist_ok=True)
+    except (RunError, SceneError, OSError) as error:
+        parser.error(error)
+    result, episodes = evaluate(driver, scene, options.episodes, options.protocol, options.seed,
+                                actions if run else options.planner)
+    (folder / f"evaluation{suffix}.json").write_text(json.dumps(result, indent=2) + "\n")
+    draw_trajectories(scene, episodes).savefig(folder / f"trajectories{suffix}.png", dpi=110)
+    if options.protocol == "anywhere":
+        draw_floor(scene, episodes).savefig(folder / f"floor{suffix}.png", dpi=110)
+    frames = watch(driver, scene, len(scene.targets) - 1, options.seed)
+    write_episode(scene, scene.targets[-1], frames, folder / f"episode{suffix}.gif")
+    if options.json:
+        print(json.dumps(result, indent=2))
+    else:
+        print(f"{name} in {scene.name}, protocol {options.protocol}, in {folder}\n" + table(result))
+
+
+if __name__ == "__main__":
+    main()

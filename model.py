@@ -11,7 +11,7 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
-MEMORIES = ("stacked", "single", "none")
+MEMORIES, BLANKS = ("stacked", "single", "none"), ("", "image", "last")  # ablations
 HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
@@ -62,12 +62,13 @@ class Network(nn.Module):
     """Policy and value. `memory` is the paper's stacked LSTM or one of its ablations: in `single`
     all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
 
-    def __init__(self, memory="stacked", command_scale=(0.3, 1.0)):
-        """command_scale: maximum linear [m/s] and angular [rad/s] velocity, paper III-C."""
+    def __init__(self, memory="stacked", without="", command_scale=(0.3, 1.0)):
+        """without: an input that is blanked, "image" or "last" (last velocity and reward).
+        command_scale: maximum linear [m/s] and angular [rad/s] velocity, paper III-C."""
         super().__init__()
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
-        self.memory = memory
+        self.memory, self.without = memory, without
         # Kernels are (height, width), padding makes the sizes those of Fig. 2. Where that asks for
         # a single row it is the upper one: the lower one of the two that are given is never read.
         relu = 2 ** 0.5
@@ -91,6 +92,11 @@ class Network(nn.Module):
     def initial_state(self, M):
         """The memory (M, layers, 2, HIDDEN) before an episode's first step: zeros."""
         return torch.zeros(M, len(self.memories), 2, HIDDEN, device=self.log_std.device)
+
+    @torch.no_grad()
+    def limit_std(self, share):
+        """The deviation of the actions becomes at most that share of the initial one."""
+        self.log_std.clamp_(max=(torch.tensor(INITIAL_STD) * share).log().to(self.log_std.device))
 
     def see(self, images):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
@@ -116,12 +122,13 @@ class Network(nn.Module):
         values (M, T), memory after them. Where the mask (M, T) is given and false, a step is no
         step of an episode and clears the memory; images are those of the others, (B, H, W, 3).
         """
-        target = observations["target"]
+        target, images = observations["target"], observations["image"].flatten(0, -4)
         real = torch.ones_like(target[..., 0], dtype=torch.bool) if mask is None else mask
         features = target.new_zeros(*target.shape[:2], FEATURES)  # (M, T, FEATURES)
-        features[real] = self.see(observations["image"].flatten(0, -4))
+        features[real] = self.see(images * 0 if self.without == "image" else images)
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
+        last = last * 0 if self.without == "last" else last
         x, states = torch.cat([features, target * TARGET_SCALE], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)

@@ -52,6 +52,7 @@ class NavVecEnv(VectorEnv):
     `infos["pose"]` (R, 3) are the poses that the step led to. At an episode's end
     `infos["final_obs"][r]` is the episode's last observation and `infos["final_info"]` holds
     its `outcome`, `return`, `length`, `target` (index into the scene's targets) and `new`.
+    `goals` (R, 2) and `starts` (R, 3) are those of the episodes under way.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -107,31 +108,30 @@ class NavVecEnv(VectorEnv):
     def reset(self, *, seed=None, options=None):
         """Starts every robot's episode; `seed` starts the random generator anew."""
         super().reset(seed=seed)
-        self._target, self._targets = np.zeros(self.num_envs, int), np.zeros((self.num_envs, 2))
-        self._steps, self._return = np.zeros(self.num_envs, int), np.zeros(self.num_envs)
-        robots = np.arange(self.num_envs)
+        R, robots = self.num_envs, np.arange(self.num_envs)
+        self._target, self.goals, self.starts = np.zeros(R, int), np.zeros((R, 2)), np.zeros((R, 3))
+        self._steps, self._return = np.zeros(R, int), np.zeros(R)
         self._begin(robots)
-        observations = self._observe(robots, self.world.poses, self._targets,
-                                     np.zeros((self.num_envs, 2)), np.zeros(self.num_envs))
+        observations = self._observe(robots, self.world.poses, self.goals, np.zeros((R, 2)),
+                                     np.zeros(R))
         return observations, {"pose": self.world.poses}
 
     def _begin(self, robots):
         """Starts a new episode for those robots, (n,) indices."""
         for r in robots:
-            choices = self._choices[r]
-            self._target[r] = choices[self.np_random.integers(len(choices))]
-            self._targets[r] = self.world.scenes[r].targets[self._target[r]]
+            self._target[r], self.goals[r], self.starts[r] = self.draw(r)
         self._steps[robots], self._return[robots] = 0, 0
-        self.world.place(robots, np.array([self._start(r) for r in robots]).reshape(-1, 3))
+        self.world.place(robots, self.starts[robots])
 
-    def _start(self, r):
-        """The pose at which robot r starts its episode."""
-        scene, rng = self.world.scenes[r], self.np_random
-        new = self._target[r] >= len(scene.training_targets)
-        if new or self.random_starts == 0 or rng.random() >= self.random_starts:
-            return scene.start
-        away = scene.starts[self._target[r]]
-        return (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
+    def draw(self, r):
+        """What robot r's next episode is: target (index), goal (2,) [m], start pose (3,)."""
+        scene, rng, choices = self.world.scenes[r], self.np_random, self._choices[r]
+        target = choices[rng.integers(len(choices))]
+        new, start = target >= len(scene.training_targets), scene.start
+        if not new and self.random_starts > 0 and rng.random() < self.random_starts:
+            away = scene.starts[target]
+            start = (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
+        return target, scene.targets[target], start
 
     def _observe(self, robots, poses, targets, velocity, reward):
         return {"image": self.camera.render(self.room[robots], poses, targets),
@@ -155,10 +155,10 @@ class NavVecEnv(VectorEnv):
     def step(self, actions):
         """Drives all robots for one control period with actions (R, 2)."""
         command = self._command(actions)
-        before = polar_targets(self.world.poses, self._targets)[:, 0]
+        before = polar_targets(self.world.poses, self.goals)[:, 0]
         hit = self.world.drive(command)
         poses = self.world.poses
-        after = polar_targets(poses, self._targets)[:, 0]
+        after = polar_targets(poses, self.goals)[:, 0]
         arrived = after < ARRIVAL_DISTANCE
         reward = rewards(before, after, arrived, hit)
         self._steps += 1
@@ -177,12 +177,12 @@ class NavVecEnv(VectorEnv):
         final_info = {"outcome": np.array(OUTCOMES)[outcome], "return": self._return.copy(),
                       "length": self._steps.copy(), "target": self._target.copy(),
                       "new": self._target >= training}
-        targets = self._targets.copy()
+        targets = self.goals.copy()
         self._begin(ended)
         # One picture for the last observations of all and the first ones of those that start.
         seen = self._observe(np.append(np.arange(R), ended),
                              np.concatenate([poses, self.world.poses[ended]]),
-                             np.concatenate([targets, self._targets[ended]]),
+                             np.concatenate([targets, self.goals[ended]]),
                              np.pad(command, ((0, len(ended)), (0, 0))),
                              np.pad(reward, (0, len(ended))))
         if not len(ended):

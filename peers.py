@@ -1,8 +1,8 @@
 """What `benchmark.py --peers` times beside this project: two simulators, two learners.
 
 A simulator runs headless with random actions, its images brought to 64x48. A learner gets this
-project's environment (targets to train on alone, so that every step is learnt from), network sizes and
-number of robots, once with its own epochs and minibatches and once with ours, which is the same
+project's environment (targets to train on alone, so that every step is learnt from), network sizes
+and number of robots, once with its own epochs and minibatches and once with ours, which is the same
 work. Each peer takes `rate(call, count)`, which times it, and returns steps a second.
 """
 

@@ -37,5 +37,6 @@ class RunFolder:
 
     def save_model(self, model, scene):
         """Weights, what rebuilds the network, and the scene; loads with `weights_only=True`."""
-        content = {"weights": model.state_dict(), "memory": model.memory, "scene": asdict(scene)}
+        content = {"weights": model.state_dict(), "memory": model.memory,
+                   "without": model.without, "scene": asdict(scene)}
         self.write("model.pt", lambda path: torch.save(content, path))

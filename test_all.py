@@ -4,13 +4,16 @@ import ast
 import csv
 import json
 import math
+import pickle
 import re
+import shutil
 import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import gymnasium as gym
+import networkx
 import numpy as np
 import pytest
 import torch
@@ -20,6 +23,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import evaluate
 import model
 import navbot_min
+import planners
 import ppo
 import render
 import sim
@@ -365,9 +369,9 @@ def random_episodes(lengths, seed=0):
     return episodes
 
 
-def network(memory="stacked", seed=0):
+def network(memory="stacked", seed=0, without=""):
     torch.manual_seed(seed)
-    return model.Network(memory)
+    return model.Network(memory, without)
 
 
 def test_the_network_has_the_papers_shapes():
@@ -403,6 +407,16 @@ def test_one_robots_memory_never_reaches_another():
     same = [torch.equal(a[r], b[r]) for r in range(3)
             for a, b in ((mean.mean, mean_2.mean), (values, values_2), (state, state_2))]
     assert same == [True] * 3 + [False] * 3 + [True] * 3
+
+
+@pytest.mark.parametrize("without, inputs", [
+    ("image", ["image"]), ("last", ["velocity", "reward"])])
+def test_a_blanked_input_makes_no_difference(without, inputs):
+    for blanked, same in ((without, True), ("", False)):
+        net, seen = network(without=blanked), random_observations(2, 3)
+        values = net(seen, net.initial_state(2))[1]
+        seen |= {key: 1 + seen[key] * 3 for key in inputs}
+        assert torch.equal(net(seen, net.initial_state(2))[1], values) is same
 
 
 def test_gradients_reach_the_first_convolution_and_both_lstms():
@@ -649,12 +663,9 @@ torch.save([p.grad for p in net.parameters()], f"{{distributed.get_rank()}}.pt")
 
 def test_a_saved_model_acts_as_before(runs):
     folder = sorted(runs[0].iterdir())[0]
-    saved = torch.load(folder / "model.pt", weights_only=True)
-    scene = parse_scene(saved["scene"], saved["scene"]["name"])
+    net, scene = evaluate.load_run(folder)
     assert scene == ENV1
-    net = model.Network(saved["memory"])
-    net.load_state_dict(saved["weights"])
-    again = evaluate.evaluate(net, scene, 4, seed=0)
+    again = evaluate.evaluate(evaluate.Policy(net, "sampled", 0), scene, 4, seed=0)[0]
     written = json.loads((folder / "evaluation.json").read_text())
     for target in written["targets"]:
         target.pop("mean_action_arrives")
@@ -711,12 +722,98 @@ def test_wilson_intervals_have_their_known_values(successes, n, low, high):
 def test_a_frozen_evaluation_counts_its_quota_and_changes_nothing():
     net = network()
     before = {name: value.clone() for name, value in net.state_dict().items()}
-    result = evaluate.evaluate(net, ENV2, episodes=13, seed=3)
+    result = evaluate.evaluate(evaluate.Policy(net, "sampled", 3), ENV2, 13, seed=3)[0]
     assert [target["n"] for target in result["targets"]] == 3 * [2] + 7 * [1] + [7, 6]
     assert (result["training"]["n"], result["new"]["n"]) == (13, 13)
     for row in (result["training"], result["new"], *result["targets"]):
         assert row["success"] + row["collision"] + row["timeout"] == pytest.approx(1)
     assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+
+
+def test_the_protocols_start_and_lead_where_they_say():
+    starts, goals = {}, {}
+    for protocol in ("paper", "perturbed", "anywhere"):
+        exam = evaluate.Exam(ENV1, [2] * 300, protocol)
+        exam.reset(seed=0)
+        starts[protocol], goals[protocol] = exam.starts, exam.goals
+        assert ENV1.clearance(exam.starts[:, :2]).min() > sim.ROBOT_RADIUS
+    assert (starts["paper"] == ENV1.start).all() and (goals["paper"] == ENV1.targets[2]).all()
+    spread = (starts["perturbed"] - ENV1.start).std(0)
+    assert spread == pytest.approx([0.05, 0.05, math.radians(10)], rel=0.15)
+    away = np.hypot(*(starts["anywhere"][:, :2] - goals["anywhere"]).T)
+    assert away.min() >= 1 and (np.ptp(goals["anywhere"], axis=0) > (3, 1.5)).all()
+
+
+@pytest.mark.parametrize("success, shortest, metres, expected", [
+    (True, 2.0, 4.0, 0.5), (True, 2.0, 1.9, 1.0), (False, 2.0, 2.0, 0.0),
+    (True, 0.0, 0.1, 1.0), (False, math.inf, 3.0, 0.0)])
+def test_spl_on_paths_made_by_hand(success, shortest, metres, expected):
+    assert evaluate.spl(success, shortest, metres) == expected
+
+
+# ------------------------------------------------------------------------------------ the planners
+
+
+def grid_distances(scene, start):
+    """Shortest paths [m] from a reachable point over the grid of reachable cells, eight ways."""
+    cells = {tuple(cell) for cell in np.round(scene.reachable / 0.025, 3).tolist()}
+    graph, steps = networkx.Graph(), [(1, 0), (0, 1), (1, 1), (1, -1)]
+    for x, y in cells:
+        for dx, dy in steps:
+            other = round(x + dx, 3), round(y + dy, 3)
+            if other in cells:
+                graph.add_edge((x, y), other, weight=0.025 * math.hypot(dx, dy))
+    first = tuple(np.round(np.asarray(start) / 0.025, 3).tolist())
+    return networkx.single_source_dijkstra_path_length(graph, first)
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2])
+def test_shortest_paths_lie_between_the_straight_line_and_the_grids(scene):
+    rng, roadmap = np.random.default_rng(0), planners.visibility_graph(scene)
+    a = scene.reachable[rng.integers(len(scene.reachable))]
+    grid, bent = grid_distances(scene, a), 0
+    for b in scene.reachable[rng.integers(len(scene.reachable), size=25)]:
+        there, back = (roadmap.path(tuple(p), tuple(q), 1e-6)[1] for p, q in ((a, b), (b, a)))
+        straight = math.dist(a, b)
+        assert there == pytest.approx(back, abs=1e-4) and there >= straight - 1e-4
+        assert there <= grid[tuple(np.round(b / 0.025, 3).tolist())] + 0.01
+        bent += there > straight + 0.01
+        assert there == pytest.approx(straight, abs=1e-4) or not roadmap.free(tuple(a), tuple(b))
+    assert bent > 5
+
+
+def test_no_path_leads_into_a_closed_chamber():
+    walls = [box(x=1.0, y=0.0, length=0.1, thickness=3.9)]
+    scene = parse_scene(square_room(extra=walls, training_targets=[[-1.0, 0.5]],
+                                    new_targets=[[-1.0, -1.0]]), "room")
+    assert planners.visibility_graph(scene).path((0.0, 0.0), (1.5, 0.0)) == (None, math.inf)
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2])
+def test_the_oracle_reaches_every_target_by_the_shortest_path(scene):
+    for protocol, episodes in (("paper", 1), ("anywhere", 40)):
+        driver = evaluate.Planned("oracle", scene, 0)
+        result, done = evaluate.evaluate(driver, scene, episodes, protocol)
+        for row in result["targets"] or [result["anywhere"]]:
+            assert row["success"] == 1 and row["spl"] > 0.9
+        assert all(e["metres"] > np.hypot(*(e["goal"] - e["start"][:2])) - 0.2 for e in done)
+
+
+@pytest.mark.parametrize("name", ["prm", "dstar"])
+def test_planners_with_a_map_or_making_one_reach_every_target_of_env1(name):
+    result = evaluate.evaluate(evaluate.Planned(name, ENV1, 0), ENV1, 1)[0]
+    assert all(target["success"] == 1 and target["spl"] > 0.7 for target in result["targets"])
+
+
+@pytest.mark.parametrize("name, empty, blocked", [
+    ("straight", "arrival", "collision"), ("bug", "arrival", "arrival"),
+    ("braitenberg", "arrival", None), ("random", None, None)])
+def test_reflexes_do_what_they_can(name, empty, blocked):
+    for extra, expected in (([], empty), ([box(x=0.9, y=0.0, length=0.2, thickness=0.8)], blocked)):
+        room = parse_scene(square_room(extra=extra, start=[0.0, 0.0, 1.0],
+                                       training_targets=[[1.6, 0.0]]), "room")
+        done = evaluate.rollouts(evaluate.Planned(name, room, 0), room, [1, 0])
+        assert expected in (None, done[0]["outcome"])
 
 
 # ------------------------------------------------------------------------------- what users meet
@@ -760,6 +857,70 @@ def test_bad_input_to_train_is_one_line_and_leaves_no_folder(arguments, words, c
 def test_bad_input_to_the_demo_is_one_line(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert words in bad_call(capsys, navbot_min.main, arguments)
+
+
+def spoilt(tmp_path, runs, how):
+    """A run that cannot be used, and why."""
+    good = sorted(runs[0].iterdir())[0] / "model.pt"
+    saved = torch.load(good, weights_only=True)
+    bad = tmp_path / "bad.pt"
+    if how == "missing":
+        return tmp_path / "none"
+    if how == "empty folder":
+        return tmp_path
+    if how == "empty":
+        bad.touch()
+    elif how == "half-written":
+        bad.write_bytes(good.read_bytes()[:100_000])
+    elif how == "another size":
+        saved["weights"]["value.weight"] = torch.zeros(1, 7)
+        torch.save(saved, bad)
+    elif how == "another kind":
+        torch.save([1, 2], bad)
+    else:
+        bad.write_bytes(pickle.dumps(Code()))
+    return bad
+
+
+class Code:
+    """What unpickles to a call."""
+    def __reduce__(self):
+        return Path.touch, (Path("executed"),)
+
+
+@pytest.mark.parametrize("how", ["missing", "empty folder", "empty", "half-written", "another size",
+                                 "another kind", "code"])
+def test_a_run_that_cannot_be_used_is_one_line_and_nothing_is_executed(
+        how, runs, capsys, tmp_path, monkeypatch):
+    run = spoilt(tmp_path, runs, how)
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    bad_call(capsys, evaluate.main, [str(run)])
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--planner", "oracle", "--episodes", "0"], "--episodes is 0, it must be from 1 up"),
+    (["--planner", "teleport"], "'teleport'"), (["--planner", "oracle", "--env", "env9"], "env9"),
+    ([], "run"), (["runs/x", "--planner", "bug"], "either"),
+    (["--planner", "bug", "--protocol", "mine"], "'mine'")])
+def test_bad_input_to_an_evaluation_is_one_line(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert words in bad_call(capsys, evaluate.main, arguments) and not any(tmp_path.iterdir())
+
+
+def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(runs, tmp_path, monkeypatch,
+                                                                   capsys):
+    monkeypatch.chdir(tmp_path)
+    run = shutil.copytree(sorted(runs[0].iterdir())[0], "run")
+    evaluate.main([str(run), "--episodes", "6", "--json"])
+    written = json.loads(Path("run/evaluation.json").read_text())
+    assert json.loads(capsys.readouterr().out) == written
+    evaluate.main([str(run), "--episodes", "6", "--protocol", "anywhere", "--env", "env2"])
+    assert "any free target" in capsys.readouterr().out
+    for name in ("trajectories.png", "episode.gif", "floor-env2-anywhere.png",
+                 "evaluation-env2-anywhere.json"):
+        assert (Path("run") / name).stat().st_size > 250
 
 
 def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):

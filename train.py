@@ -20,15 +20,17 @@ from torch import distributed
 from tqdm import tqdm
 
 from command_line import CommandLine, option
-from evaluate import draw_curves, evaluate, report
-from model import MEMORIES, REWARD_SCALE, Network
+from evaluate import Policy, evaluate, report
+from model import BLANKS, MEMORIES, REWARD_SCALE, Network
 from navbot_min import NavVecEnv
+from pictures import draw_curves
 from ppo import Collector, update
 from runs import RunFolder
 from scene_file import load_scene
 from sim import SceneError
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
+FINAL_STD = 0.2  # of the initial deviations, when a run uses all its steps, our choice
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
 
 # Which of how many processes this is: `torchrun --nproc-per-node 2 train.py` starts two.
@@ -41,9 +43,11 @@ class Config:
     env: str = option("env1", "a scene's name, or a path to a scene file")
     seed: int = option(0, "of every random number in the run", 0)
     steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
+    fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
     robots: int = option(32, "R, robots that drive side by side", 1)
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
+    without: str = option("", "an input that the network has to do without", choices=BLANKS)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
     epochs: int = option(2, "K of Algorithm 1", 1)
     minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
@@ -103,27 +107,33 @@ def train(config, scene, folder):
     stop at the same step; one of them has a folder and writes, the others have None.
     """
     torch.manual_seed(config.seed)
-    model = Network(config.memory).to(config.device)
+    model = Network(config.memory, config.without).to(config.device)
     rng = np.random.default_rng([config.seed, RANK])  # weights are the same, dice each has its own
     torch.manual_seed(rng.integers(2 ** 31))
     optimizer = torch.optim.Adam(model.parameters(), config.learning_rate, eps=1e-5, fused=True)
     env = NavVecEnv(config.robots // PROCESSES, scene, "both", config.random_starts)  # line 3: P
     collector = Collector(env, model, REWARD_SCALE, int(rng.integers(2 ** 31)))
     record, buffer, start = Record(scene), [], time.perf_counter()
+
+    def stops():
+        return record.rule_is_met() and not config.fixed_budget
     bar = tqdm(total=config.steps, unit=" steps", mininterval=0.5, disable=RANK > 0)
     try:
-        while record.steps < config.steps and not record.rule_is_met():
+        while record.steps < config.steps and not stops():
             record.steps += config.robots
             bar.update(config.robots)
             ended = collector.step()  # what happens on the way to a new target is never learnt from
             buffer += [episode for episode, info in ended if not info["new"]]
             infos, stored = zip(*gather(([info for _, info in ended], len(buffer))))
             for info in chain(*infos):
-                if not record.rule_is_met():
+                if not stops():
                     row = record.add(info)
                     folder and folder.add_row("episodes.csv", row)
-            if not record.rule_is_met() and min(stored) >= config.episodes_per_update // PROCESSES:
+            if not stops() and min(stored) >= config.episodes_per_update // PROCESSES:
+                left = 1 - record.steps / config.steps  # time left: both shrink to the end of it
+                optimizer.param_groups[0]["lr"] = config.learning_rate * max(left, 0)
                 statistics = update(model, optimizer, buffer, config, rng)
+                model.limit_std(FINAL_STD + (1 - FINAL_STD) * left)
                 buffer.clear()
                 speed = round(record.steps / (time.perf_counter() - start), 1)
                 folder and folder.add_row("updates.csv", {"steps": record.steps, **statistics,
@@ -137,7 +147,7 @@ def train(config, scene, folder):
     return model, record, {
         "env": scene.name, "seed": config.seed, "steps": record.steps,
         "episodes": len(record.episodes), "seconds": round(seconds, 2),
-        "stopped_by_rule": record.rule_is_met(), "rolling_new_success": record.success("new"),
+        "stopped_by_rule": stops(), "rolling_new_success": record.success("new"),
         "frozen": None}
 
 
@@ -182,8 +192,10 @@ def main(argv=None):
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
     try:
-        summary["frozen"] = evaluate(model, scene, config.evaluation_episodes, seed=config.seed)
-        by_mean = evaluate(model, scene, actions="mean")
+        sampled, mean = (Policy(model, actions, config.seed) for actions in ("sampled", "mean"))
+        n, seed = config.evaluation_episodes, config.seed
+        summary["frozen"] = evaluate(sampled, scene, n, seed=seed)[0]
+        by_mean = evaluate(mean, scene, 1)[0]  # from one start, each episode would be the same
     except KeyboardInterrupt:
         sys.exit("interrupted: the run is saved without its evaluation")
     for target, mean in zip(summary["frozen"]["targets"], by_mean["targets"]):

@@ -1,0 +1,196 @@
+"""Trains and examines everything that the README's tables and figures show.
+
+`python results.py` trains each room, way and seed for a fixed budget of steps, two runs at a time
+with a core each, evaluates the frozen last policies, and writes `results/*.csv` and the figures.
+A run that is there already is not trained again, so that it can be interrupted. `--draw` makes the
+figures alone, from the tables.
+"""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from command_line import CommandLine, option
+from pictures import PAPER_CURVES
+
+HERE = Path(__file__).parent
+RESULTS, RUNS = HERE / "results", Path("runs") / "results"
+BUDGET = {"env1": 150_000, "env2": 300_000}  # steps, new targets' included
+WAYS = {"paper": ["--random-starts", "0"], "varied": []}  # the five seeds
+ABLATIONS = {"single": ["--memory", "single"], "none": ["--memory", "none"],
+             "blind": ["--without", "image"], "no-last": ["--without", "last"]}  # three, varied
+COLOURS = {"paper": "#d62728", "varied": "#12913a"}
+
+
+@dataclass
+class Options:
+    """What to make."""
+    draw: bool = option(False, "draw the figures from the tables, train nothing")
+    ablations: bool = option(False, "train the ablations too, seeds 0 to 2")
+    jobs: int = option(2, "runs at a time, a core each", 1)
+
+
+def run(env, way, flags, seed):
+    """Trains and examines one run, unless that is done; returns its row of the table."""
+    folder, one_core = RUNS / f"{env}-{way}-seed{seed}", os.environ | {"OMP_NUM_THREADS": "1"}
+    if not (folder / "evaluation-anywhere.json").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        for command in (["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
+                         str(BUDGET[env]), *flags, "--out", str(folder)],
+                        ["evaluate.py", str(folder), "--protocol", "anywhere"]):
+            subprocess.run([sys.executable, str(HERE / command[0]), *command[1:]], check=True,
+                           env=one_core, capture_output=True)
+        print(f"{folder} done", flush=True)
+    summary = json.loads((folder / "summary.json").read_text())
+    anywhere = json.loads((folder / "evaluation-anywhere.json").read_text())["anywhere"]
+    row = {"env": env, "way": way, "seed": seed}
+    row |= {key: summary[key] for key in ("steps", "episodes", "seconds")}
+    for kind, result in (*((kind, summary["frozen"][kind]) for kind in ("training", "new")),
+                         ("anywhere", anywhere)):
+        row |= {f"{kind}_{key}": round(result[key], 4)
+                for key in ("success", "low", "high", "collision", "timeout", "spl")}
+    arrive = [target["mean_action_arrives"] for target in summary["frozen"]["targets"]]
+    return row | {"mean_action_arrives": f"{sum(arrive)} of {len(arrive)}"}
+
+
+def curve(env, way, seed, every=50):
+    """Rows of curves.csv: success of the last 100 episodes and mean return of the last 100, each
+    `every` episodes to targets of a kind."""
+    rows, points = {"training": [], "new": []}, []
+    with open(RUNS / f"{env}-{way}-seed{seed}" / "episodes.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            kind = rows[row["kind"]]
+            kind.append((row["outcome"] == "arrival", float(row["return"])))
+            if len(kind) >= 100 and len(kind) % every == 0:
+                success, reward = np.mean(kind[-100:], axis=0)
+                points.append({"env": env, "way": way, "seed": seed, "kind": row["kind"],
+                               "steps": row["steps"], "episodes": len(kind),
+                               "success": round(success, 2), "return": round(reward, 1)})
+    return points
+
+
+def write_table(name, rows):
+    with open(RESULTS / name, "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def read_table(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def draw_memorizing_reasoning(curves):
+    """Success on new targets against steps, both ways, every seed."""
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    for axes, env in zip(figure.subplots(1, 2, sharey=True), BUDGET):
+        for way, colour in COLOURS.items():
+            for seed in "01234":
+                points = [(float(row["steps"]), 100 * float(row["success"])) for row in curves
+                          if (row["env"], row["way"], row["seed"], row["kind"])
+                          == (env, way, seed, "new")]
+                label = {"paper": "one start pose", "varied": "70 % of training starts anywhere"}
+                axes.plot(*zip(*points), color=colour, lw=1.3, alpha=0.8,
+                          label=label[way] if seed == "0" else None)
+        axes.set(title=env, xlabel="steps", ylim=(-2, 102))
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("new targets reached, last 100 episodes [%]")
+    figure.axes[0].legend(loc="upper left")
+    return figure
+
+
+def draw_learning(curves, env):
+    """Fig. 4 (env1) or 5 (env2) over the five seeds, the paper's curves behind."""
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    panels, paper = figure.subplots(2, 2, sharey="row", sharex="col"), read_table(PAPER_CURVES)
+    for column, kind in enumerate(("training", "new")):
+        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
+        for axes, key, its, scale in zip(panels[:, column], ("success", "return"),
+                                         ("success_last_100", "mean_return"), (100, 1)):
+            axes.plot([float(row["episodes"]) for row in theirs],
+                      [scale * float(row[its]) for row in theirs], color="#a0a0a0", lw=2,
+                      label="paper (released records)")
+            for way, colour in COLOURS.items():
+                for seed in "01234":
+                    points = [(int(row["episodes"]), scale * float(row[key])) for row in curves if (
+                        row["env"], row["way"], row["seed"], row["kind"]) == (env, way, seed, kind)]
+                    axes.plot(*zip(*points), color=colour, lw=1, alpha=0.7,
+                              label=f"ours, {way}, five seeds" if seed == "0" else None)
+            axes.set(xscale="log")
+            axes.grid(alpha=0.3)
+        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
+        panels[1, column].set_xlabel(f"episodes to {kind} targets")
+    panels[0, 0].set_ylabel("success rate, last 100 episodes [%]")
+    panels[1, 0].set_ylabel("average reward of an episode")
+    panels[0, 0].legend(loc="upper left", fontsize=9)
+    figure.suptitle(f"{env}: five seeds each way, and the paper's one")
+    return figure
+
+
+def markdown(rows):
+    """The README's table: each room and way, worst seed first."""
+    lines = ["| room | way | seed | training targets [95 %] | new targets [95 %] | SPL, new "
+             "| from anywhere to anywhere | mean action arrives at |", "|---" * 8 + "|"]
+    for env in BUDGET:
+        for way in dict.fromkeys(row["way"] for row in rows):
+            chosen = [row for row in rows if (row["env"], row["way"]) == (env, way)]
+            for row in sorted(chosen, key=lambda row: float(row["new_success"])):
+                training, new = (
+                    "{:.1f} % [{:.1f}, {:.1f}]".format(*(100 * float(row[f"{kind}_{key}"])
+                                                         for key in ("success", "low", "high")))
+                    for kind in ("training", "new"))
+                lines.append(f"| {env} | {way} | {row['seed']} | {training} | {new} "
+                             f"| {float(row['new_spl']):.2f} "
+                             f"| {100 * float(row['anywhere_success']):.1f} % "
+                             f"| {row['mean_action_arrives']} |")
+            if chosen:
+                mean = {key: np.mean([float(row[key]) for row in chosen]) for key in (
+                    "training_success", "new_success", "new_spl", "anywhere_success")}
+                lines.append(f"| {env} | {way} | **mean** "
+                             f"| **{100 * mean['training_success']:.1f} %** "
+                             f"| **{100 * mean['new_success']:.1f} %** | {mean['new_spl']:.2f} "
+                             f"| {100 * mean['anywhere_success']:.1f} % | |")
+    return "\n".join(lines)
+
+
+def main(argv=None):
+    """The command line."""
+    options = CommandLine("Make every table and figure of the results.").read(Options, argv)
+    if not options.draw:
+        tasks = [(env, way, flags, seed) for seed in range(5) for way, flags in WAYS.items()
+                 for env in BUDGET]
+        if options.ablations:
+            tasks += [(env, way, flags, seed) for env in BUDGET for seed in range(3)
+                      for way, flags in ABLATIONS.items()]
+        with ThreadPoolExecutor(options.jobs) as pool:
+            rows = list(pool.map(lambda task: run(*task), tasks))
+        write_table("seeds.csv", [row for row in rows if row["way"] in WAYS])
+        if options.ablations:
+            write_table("ablations.csv", [row for row in rows if row["way"] in ABLATIONS])
+        write_table("curves.csv", [point for env, way, _, seed in tasks if way in WAYS
+                                   for point in curve(env, way, seed)])
+        (HERE / "pretrained").mkdir(exist_ok=True)
+        for env in BUDGET:  # seed 0's, whichever seed is the best
+            run_folder = RUNS / f"{env}-varied-seed0"
+            shutil.copy(run_folder / "model.pt", HERE / "pretrained" / f"{env}.pt")
+    curves = read_table(RESULTS / "curves.csv")
+    draw_memorizing_reasoning(curves).savefig(HERE / "pictures/memorizing-reasoning.png", dpi=110)
+    for env, number in (("env1", 4), ("env2", 5)):
+        draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
+    for name in ("seeds.csv", "ablations.csv"):
+        if (RESULTS / name).exists():
+            print(markdown(read_table(RESULTS / name)))
+
+
+if __name__ == "__main__":
+    main()
