@@ -252,7 +252,8 @@ def load_run(path):
         model.load_state_dict(saved["weights"])
     except (pickle.UnpicklingError, EOFError, RuntimeError, KeyError, TypeError, ValueError,
             AttributeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        missing = "it has no " if isinstance(error, KeyError) else ""
+        reason = missing + (str(error) or type(error).__name__).splitlines()[0]
         raise RunError(f"'{file}' is not a whole run of this network: {reason[:200]}") from None
     return model, scene
 

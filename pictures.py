@@ -16,6 +16,7 @@ SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points
            "env2": {"training": 500, "new": 100}}
 PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
 COLOURS = {"arrival": "#12913a", "collision": "#d62728", "timeout": "#e8a317"}
+MARKERS = {"arrival": ".", "collision": "x", "timeout": "s"}
 
 
 def draw_curves(episodes, env, stop_rate):
@@ -56,7 +57,7 @@ def draw_curves(episodes, env, stop_rate):
 def draw_trajectories(scene, episodes, most=20):
     """Fig. 6: paths over the map, coloured by outcome, at most so many to each target, or four
     times as many in all where targets are anywhere. Returns a Figure."""
-    figure = Figure(figsize=(9, 6), layout="constrained")
+    figure = Figure(figsize=(10, 5), layout="constrained")
     axes, drawn, targets = figure.subplots(), {}, set(map(tuple, scene.targets))
     draw_map(axes, scene)
     for e in episodes:
@@ -64,14 +65,15 @@ def draw_trajectories(scene, episodes, most=20):
         drawn[goal] = drawn.get(goal, 0) + 1
         if drawn[goal] <= (4 * most if goal == "anywhere" else most):
             axes.plot(*e["path"][:, :2].T, color=COLOURS[e["outcome"]], lw=0.9, alpha=0.55)
-            axes.plot(*e["path"][-1, :2], color=COLOURS[e["outcome"]], marker=".", ms=4)
+            axes.plot(*e["path"][-1, :2], color=COLOURS[e["outcome"]], ms=4,
+                      marker=MARKERS[e["outcome"]])
     x, y, theta = scene.start
     axes.add_patch(Circle((x, y), ROBOT_RADIUS, fill=False, color="black", lw=1.5))
     axes.plot([x, x + ROBOT_RADIUS * math.cos(theta)], [y, y + ROBOT_RADIUS * math.sin(theta)],
               color="black", lw=1.5)
     for outcome, colour in COLOURS.items():
         share = np.mean([e["outcome"] == outcome for e in episodes])
-        axes.plot([], [], color=colour, label=f"{outcome} {share:.1%}")
+        axes.plot([], [], color=colour, marker=MARKERS[outcome], label=f"{outcome} {share:.1%}")
     axes.set_title(f"{scene.name}: start (circle), training targets blue, new ones green")
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
     return figure
@@ -87,7 +89,7 @@ def draw_floor(scene, episodes, patch=0.25):
     tried, arrivals = (np.histogram2d(*goals.T, bins=edges, weights=weights)[0]
                        for weights in (None, arrived))
     with np.errstate(invalid="ignore"):
-        mesh = axes.pcolormesh(*edges, (arrivals / tried).T, cmap="RdYlGn", vmin=0, vmax=1)
+        mesh = axes.pcolormesh(*edges, (arrivals / tried).T, cmap="viridis", vmin=0, vmax=1)
     draw_map(axes, scene)
     figure.colorbar(mesh, label="success rate", shrink=0.8)
     axes.set_title(f"{scene.name}: success by where the target is, {len(episodes):,} episodes "
@@ -107,6 +109,9 @@ def write_episode(scene, target, frames, path):
     nose, = left.plot([], [], color="white", lw=2)
     picture = right.imshow(frames[0][1])
     right.axis("off")
+    right.set_title(" ", family="monospace", fontsize=10)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once, not at every frame
     poses = np.array([frame[0] for frame in frames])
     writer = PillowWriter(fps=8)
     with writer.saving(figure, path, dpi=70):
@@ -116,6 +121,5 @@ def write_episode(scene, target, frames, path):
             nose.set_data([x, x + ROBOT_RADIUS * math.cos(theta)],
                           [y, y + ROBOT_RADIUS * math.sin(theta)])
             picture.set_data(image)
-            right.set_title(f"{t * CONTROL_PERIOD:4.1f} s   {v:.2f} m/s   {w:+.2f} rad/s",
-                            family="monospace", fontsize=10)
+            right.title.set_text(f"{t * CONTROL_PERIOD:4.1f} s   {v:.2f} m/s   {w:+.2f} rad/s")
             writer.grab_frame()
