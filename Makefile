@@ -3,13 +3,16 @@ PYTHON ?= python3
 # PyTorch's small CPU build: make train TORCH_INDEX=https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
 
-.PHONY: train test demo
+.PHONY: train test demo results
 
 train: .venv/installed
 	.venv/bin/python train.py --env env1
 
 test: .venv/installed
 	.venv/bin/python -m pytest test_all.py
+
+results: .venv/installed
+	.venv/bin/python results.py --ablations
 
 demo: .venv/installed
 	.venv/bin/python navbot_min.py --env env1

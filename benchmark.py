@@ -1,7 +1,8 @@
 """How fast each stage is, on one core and on all: camera, world, environment, network, training.
 
-Every figure is the median of five timings. What counts is the share of a roof, the rate at which
-this machine does plain large convolutions in the same run, and the ratio to the peers. `--peers`
+Every figure is the best of several short timings, the one that the rest of the machine disturbed
+least. What counts is the share of a roof, the rate at which this machine does plain large
+convolutions in the same run, and the ratio to the peers, which are timed in the same way. `--peers`
 needs an environment of its own, with this project's requirements and
 `pip install miniworld vizdoom stable-baselines3 sb3-contrib`; a peer that is missing is left out.
 """
@@ -35,23 +36,27 @@ BOXES = (8, 40)
 class Options:
     """What to measure."""
     cores: int = option(0, "measure on so many cores alone; 0 for one core, then for all", 0)
-    seconds: float = option(1.0, "time for each of the five timings of a figure", 0.01)
+    seconds: float = option(0.2, "length of a timing", 0.001)
     peers: bool = option(False, "measure the peers too, where they are installed")
     out: str = option("benchmark.json", "file for the figures; the plot goes beside it, as .png")
     json: bool = option(False, "print the figures alone, as JSON, on standard output")
 
 
-def rate(call, count, seconds):
-    """How often a second `call` does what it does `count` times at each call: median of five."""
+def rate(call, seconds, timings=15):
+    """What `call` counts a second: it returns how many steps, images or so it has done."""
     call()
-    rates = []
-    for _ in range(5):
-        calls, start = 0, time.perf_counter()
+    best = 0.0
+    for _ in range(timings):
+        done, start = 0, time.perf_counter()
         while (elapsed := time.perf_counter() - start) < seconds:
-            call()
-            calls += 1
-        rates.append(calls * count / elapsed)
-    return float(np.median(rates))
+            done += call()
+        best = max(best, done / elapsed)
+    return best
+
+
+def times(count, call):
+    """A call that counts as so many."""
+    return lambda: (call(), count)[1]
 
 
 def room(boxes):
@@ -72,20 +77,20 @@ def camera_fps(scene, R, seconds):
     camera, rng = Camera([scene]), np.random.default_rng(0)
     poses = np.column_stack([rng.choice(scene.reachable, R), rng.uniform(-np.pi, np.pi, R)])
     targets = scene.targets[rng.integers(len(scene.targets), size=R)]
-    return rate(lambda: camera.render(np.zeros(R, int), poses, targets), R, seconds)
+    return rate(times(R, lambda: camera.render(np.zeros(R, int), poses, targets)), seconds)
 
 
 def world_sps(scene, R, seconds):
     """Robot-steps a second of the physics alone, robots turning on the spot."""
     world = World([scene] * R)
-    return rate(lambda: world.drive(np.tile((0.0, 1.0), (R, 1))), R, seconds)
+    return rate(times(R, lambda: world.drive(np.tile((0.0, 1.0), (R, 1)))), seconds)
 
 
 def env_sps(scene, R, seconds):
     """Environment steps a second, images included, with random actions."""
     env, rng = NavVecEnv(R, scene), np.random.default_rng(0)
     env.reset(seed=0)
-    return rate(lambda: env.step(rng.uniform((0, -1), (1, 1), (R, 2))), R, seconds)
+    return rate(times(R, lambda: env.step(rng.uniform((0, -1), (1, 1), (R, 2)))), seconds)
 
 
 def network_fps(seconds, M=16, T=50):
@@ -100,9 +105,10 @@ def network_fps(seconds, M=16, T=50):
         distribution, values, _ = net(seen, net.initial_state(M))
         return distribution.mean.sum() + values.sum()
     with torch.no_grad():
-        forward_fps = rate(forward, M * T, seconds)
-    return {"forward": forward_fps, "both": rate(lambda: forward().backward(), M * T, seconds),
-            "act": rate(lambda: net.act(one, net.initial_state(32)), 32, seconds)}
+        forward_fps = rate(times(M * T, forward), seconds)
+    return {"forward": forward_fps,
+            "both": rate(times(M * T, lambda: forward().backward()), seconds),
+            "act": rate(times(32, lambda: net.act(one, net.initial_state(32))), seconds)}
 
 
 def train_sps(scene, targets, seconds):
@@ -127,14 +133,7 @@ def train_sps(scene, targets, seconds):
         update(model, optimizer, buffer, config, rng)
         buffer.clear()
         return steps - before
-    learn()
-    rates = []
-    for _ in range(5):
-        done, start = 0, time.perf_counter()
-        while (elapsed := time.perf_counter() - start) < 4 * seconds:
-            done += learn()
-        rates.append(done / elapsed)
-    return float(np.median(rates)), learnt / steps
+    return rate(learn, 10 * seconds, timings=5), learnt / steps
 
 
 def flops(net):
@@ -159,7 +158,7 @@ def convolution_rate(seconds):
     x = torch.randn(16, 64, 96, 128).contiguous(memory_format=torch.channels_last)
     layer = torch.nn.Conv2d(64, 64, 3, padding=1).to(memory_format=torch.channels_last)
     with torch.no_grad():
-        return rate(lambda: layer(x), 2 * 9 * 64 * 64 * 16 * 96 * 128, seconds)
+        return rate(times(2 * 9 * 64 * 64 * 16 * 96 * 128, lambda: layer(x)), seconds)
 
 
 def measure(cores, seconds):
@@ -237,7 +236,8 @@ def main(argv=None):
     figures["peers"] = {}
     for name, (key, peer) in PEERS.items() if options.peers else ():
         try:
-            sps = peer(lambda call, count: rate(call, count, options.seconds))
+            sps = peer(lambda call, count, timings=15: rate(times(count, call), options.seconds,
+                                                            timings))
         except ImportError as error:
             print(f"{name} is left out: {error}", file=sys.stderr)
             continue

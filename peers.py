@@ -81,7 +81,7 @@ def recurrent_ppo(rate, epochs, minibatches):
             features_extractor_class=Features, lstm_hidden_size=HIDDEN, n_lstm_layers=2,
             shared_lstm=True, enable_critic_lstm=False, net_arch=[HIDDEN]))
     learner.policy.features_extractor.to(memory_format=torch.channels_last)
-    return rate(lambda: learner.learn(R * T, reset_num_timesteps=False), R * T)
+    return rate(lambda: learner.learn(R * T, reset_num_timesteps=False), R * T, timings=3)
 
 
 def cleanrl_style(rate, epochs, minibatches):
@@ -143,7 +143,7 @@ def cleanrl_style(rate, epochs, minibatches):
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(net.parameters(), MAX_GRADIENT_NORM)
                 optimizer.step()
-    return rate(learn, R * T)
+    return rate(learn, R * T, timings=3)
 
 
 PEERS = {"MiniWorld": ("env", miniworld), "ViZDoom": ("env", vizdoom)}

@@ -20,7 +20,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from command_line import CommandLine, option
+from evaluate import Planned, evaluate, summarise
 from pictures import PAPER_CURVES
+from planners import PLANNERS
+from scene_file import load_scene
 
 HERE = Path(__file__).parent
 RESULTS, RUNS = HERE / "results", Path("runs") / "results"
@@ -36,6 +39,7 @@ class Options:
     """What to make."""
     draw: bool = option(False, "draw the figures from the tables, train nothing")
     ablations: bool = option(False, "train the ablations too, seeds 0 to 2")
+    planners: bool = option(False, "examine the planners, train nothing")
     jobs: int = option(2, "runs at a time, a core each", 1)
 
 
@@ -76,6 +80,18 @@ def curve(env, way, seed, every=50):
                                "steps": row["steps"], "episodes": len(kind),
                                "success": round(success, 2), "return": round(reward, 1)})
     return points
+
+
+def examine(env, name):
+    """A planner's row of planners.csv: one episode to each target from the paper's start, and 200
+    from anywhere to anywhere."""
+    scene, row = load_scene(env), {"env": env, "planner": name}
+    for protocol, episodes in (("paper", 1), ("anywhere", 200)):
+        done = evaluate(Planned(name, scene, 0), scene, episodes, protocol)[1]
+        result = summarise(scene, done)
+        row |= {f"{protocol}_{key}": round(result[key], 4) for key in (
+            "n", "success", "low", "high", "collision", "timeout", "spl")}
+    return row
 
 
 def write_table(name, rows):
@@ -163,9 +179,29 @@ def markdown(rows):
     return "\n".join(lines)
 
 
+def planners_markdown(rows):
+    """The README's table of the planners."""
+    lines = ["| planner | env1, targets reached | env2, targets reached | env1, anywhere, SPL "
+             "| env2, anywhere, SPL |", "|---" * 5 + "|"]
+    for name in PLANNERS:
+        paper, anywhere = [], []
+        for row in (row for row in rows if row["planner"] == name):
+            n = int(row["paper_n"])
+            paper.append(f"{round(n * float(row['paper_success']))} of {n}")
+            anywhere.append("{:.1f} % [{:.1f}, {:.1f}], {:.2f}".format(
+                *(100 * float(row[f"anywhere_{key}"]) for key in ("success", "low", "high")),
+                float(row["anywhere_spl"])))
+        lines.append(f"| {name} | " + " | ".join(paper + anywhere) + " |")
+    return "\n".join(lines)
+
+
 def main(argv=None):
     """The command line."""
     options = CommandLine("Make every table and figure of the results.").read(Options, argv)
+    if options.planners:
+        rows = [examine(env, name) for name in PLANNERS for env in BUDGET]
+        write_table("planners.csv", rows)
+        return print(planners_markdown(rows))
     if not options.draw:
         tasks = [(env, way, flags, seed) for seed in range(5) for way, flags in WAYS.items()
                  for env in BUDGET]

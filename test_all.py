@@ -20,6 +20,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+import benchmark
 import evaluate
 import model
 import navbot_min
@@ -450,25 +451,43 @@ def test_advantages_are_the_brute_force_double_sum(last_value):
     assert np.allclose(A, expected)
 
 
-def test_padding_changes_no_loss_and_no_gradient():
-    net, episodes = network(), random_episodes([3, 9, 5])
+def slow_losses(net, episodes, A, eps):
+    """Both losses, one step of one episode at a time."""
+    policy, value, steps = 0.0, 0.0, sum(len(e) for e in episodes)
+    for e, a in zip(episodes, A):
+        state = net.initial_state(1)
+        for t in range(len(e)):
+            one = {key: x[t][None, None] for key, x in e.observations.items()}
+            distribution, V, state = net(one, state)
+            r = (distribution.log_prob(e.actions[t]).sum() - e.log_probs[t]).exp()
+            policy = policy - min(r * a[t], r.clamp(1 - eps, 1 + eps) * a[t]) / steps
+            value = value + (V[0, 0] - (a[t] + e.values[t])) ** 2 / steps
+    return policy, value
+
+
+def test_episodes_end_to_end_have_the_losses_and_gradients_of_each_step_alone():
+    net, episodes = network(), random_episodes([3, 9, 5, 1, 4])
     A = [torch.randn(len(e)) for e in episodes]
-    steps, names, together, apart = 17, [n for n, _ in net.named_parameters()], [], []
+    batch = ppo.lay(episodes, A)
+    assert batch["mask"].shape == (3, 10) and batch["mask"].sum() == 22
     for k in (0, 1):  # policy loss, value loss
-        net.zero_grad()
-        loss = ppo.losses(net, ppo.lay(episodes, A), 0.2)[k]
-        loss.backward()
-        together.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
-                                       if p.grad is not None}))
-        net.zero_grad()
-        loss = sum(len(e) / steps * ppo.losses(net, ppo.lay([e], [a]), 0.2)[k]
-                   for e, a in zip(episodes, A))
-        loss.backward()
-        apart.append((loss.item(), {n: p.grad.clone() for n, p in net.named_parameters()
-                                    if p.grad is not None}))
-    for (loss, grads), (loss_2, grads_2) in zip(together, apart):
-        assert loss == pytest.approx(loss_2, rel=1e-5) and set(grads) == set(grads_2) <= set(names)
-        assert all(torch.allclose(grads[n], grads_2[n], rtol=1e-3, atol=1e-6) for n in grads)
+        results = []
+        for losses in (ppo.losses(net, batch, 0.2), slow_losses(net, episodes, A, 0.2)):
+            net.zero_grad()
+            losses[k].backward()
+            gradients = [p.grad for p in net.parameters() if p.grad is not None]
+            results.append((losses[k].item(), torch.cat([g.flatten().clone() for g in gradients])))
+        (loss, gradient), (expected, slow_gradient) = results
+        assert loss == pytest.approx(expected, rel=1e-5)
+        assert (gradient - slow_gradient).norm() < 1e-5 * slow_gradient.norm()
+
+
+@pytest.mark.parametrize("lengths, rows", [([5], 1), ([9, 3, 5], 2), ([2, 2, 8, 2], 2),
+                                           ([4, 4, 4], 3)])
+def test_rows_are_no_longer_than_the_longest_episode_and_hold_each_once(lengths, rows):
+    laid = ppo.rows(lengths)
+    assert len(laid) == rows and sorted(k for row in laid for k in row) == [*range(len(lengths))]
+    assert max(sum(lengths[k] + 1 for k in row) - 1 for row in laid) == max(lengths)
 
 
 def test_the_clipped_loss_is_that_of_eq_3():
@@ -930,6 +949,27 @@ def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
                           text=True)
     assert done.returncode == 0 and done.stdout.count("episode ") == 6, done.stderr
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_networks_work_is_that_of_the_paper():
+    forward, both = benchmark.flops(network())
+    assert forward == pytest.approx(6.1e6, rel=0.02) and both == pytest.approx(16.4e6, rel=0.02)
+
+
+def test_the_benchmark_writes_its_figures_and_their_plot(tmp_path):
+    done = subprocess.run([sys.executable, str(ROOT / "benchmark.py"), "--cores", "1", "--seconds",
+                           "0.002", "--json"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures == json.loads((tmp_path / "benchmark.json").read_text())
+    assert (tmp_path / "benchmark.png").exists() and figures["cores"] == 1
+    for key in ("camera_fps", "env_sps", "world_sps"):
+        assert list(figures[key]) == ["1", "32", "256", "1024"] and min(figures[key].values()) > 0
+    assert figures["train_sps"] > 0 and figures["roof_sps"] > 0 and figures["peers"] == {}
+
+
+def test_bad_input_to_the_benchmark_is_one_line(capsys):
+    assert "--cores is 4096" in bad_call(capsys, benchmark.main, ["--cores", "4096"])
 
 
 def readme_table(heading):
