@@ -483,7 +483,7 @@ def test_episodes_end_to_end_have_the_losses_and_gradients_of_each_step_alone():
 
 
 @pytest.mark.parametrize("lengths, rows", [([5], 1), ([9, 3, 5], 2), ([2, 2, 8, 2], 2),
-                                           ([4, 4, 4], 3)])
+                                           ([4, 4, 4], 3), ([5, 3, 2], 3)])
 def test_rows_are_no_longer_than_the_longest_episode_and_hold_each_once(lengths, rows):
     laid = ppo.rows(lengths)
     assert len(laid) == rows and sorted(k for row in laid for k in row) == [*range(len(lengths))]
@@ -720,6 +720,22 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
     assert (env.reset(seed=0)[1]["pose"][:, 0] < 0).all()
     with pytest.raises(ValueError, match="random_starts is 1.5, it must be from 0 to 1"):
         navbot_min.NavVecEnv(4, random_starts=1.5)
+
+
+@pytest.mark.parametrize("fixed_budget, steps", [(False, 8), (True, 200)])
+def test_the_rule_stops_nothing_in_a_fixed_budget(fixed_budget, steps, monkeypatch):
+    monkeypatch.setattr(train.Record, "rule_is_met", lambda record: record.steps > 0)
+    config = train.Config(steps=200, robots=8, fixed_budget=fixed_budget)
+    summary = train.train(config, ENV1, None)[2]
+    assert summary["steps"] == steps and summary["stopped_by_rule"] is not fixed_budget
+
+
+def test_the_deviation_is_limited_to_its_share_and_never_raised():
+    net = network()
+    for share, expected in ((2.0, 1.0), (0.5, 0.5), (0.8, 0.5)):
+        net.limit_std(share)
+        limited = torch.tensor(model.INITIAL_STD) * expected
+        assert torch.allclose(net.log_std.exp(), limited)
 
 
 @pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])
@@ -1002,7 +1018,8 @@ def test_imports_are_those_of_the_readmes_table():
 
 def test_the_readmes_files_and_commands_exist():
     text = (ROOT / "README.md").read_text()
-    made = {"curves.png", "demo.png", "episodes.csv", "updates.csv"}  # by the commands
+    made = {"curves.png", "demo.png", "episodes.csv", "updates.csv", "evaluation.json",
+            "trajectories.png", "floor.png"}  # by the commands
     for name in re.findall(r"`([\w./-]+\.(?:py|toml|csv|json|png|txt|md))`|\]\(([\w./]+)\)", text):
         assert (ROOT / "".join(name)).exists() or "".join(name) in made, name
     for script, flags in re.findall(r"python (\w+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)", text):
