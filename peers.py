@@ -1,9 +1,10 @@
 """What `benchmark.py --peers` times beside this project: two simulators, two learners.
 
 A simulator runs headless with random actions, its images brought to 64x48. A learner gets this
-project's environment (targets to train on alone, so that every step is learnt from), network sizes
-and number of robots, once with its own epochs and minibatches and once with ours, which is the same
-work. Each peer takes `rate(call, count)`, which times it, and returns steps a second.
+project's environment, with targets to train on alone, so that every step is learnt from, and our
+network's sizes; once with its own settings, as it comes, and once with our robots, epochs and
+minibatches, which is the same work. Each peer takes `rate(call, count)`, which times it, and
+returns steps a second.
 """
 
 from functools import partial
@@ -16,8 +17,8 @@ from navbot_min import NavEnv, NavVecEnv
 from ppo import MAX_GRADIENT_NORM, VALUE_WEIGHT
 from train import Config
 
-R, T = 32, 32  # steps of an update: about as many as 32 episodes have
-OURS = dict(epochs=Config.epochs, minibatches=Config.minibatches)
+# R robots, T steps of an update: together about as many as 32 episodes have.
+OURS = dict(R=Config.robots, T=32, epochs=Config.epochs, minibatches=Config.minibatches)
 
 
 def miniworld(rate):
@@ -59,8 +60,8 @@ def vizdoom(rate):
     return rate(step, 1)
 
 
-def recurrent_ppo(rate, epochs, minibatches):
-    """sb3-contrib's RecurrentPPO. By itself it takes 10 epochs and minibatches of 128 steps."""
+def recurrent_ppo(rate, R, T, epochs, minibatches):
+    """sb3-contrib's RecurrentPPO. It comes with 128 steps, 10 epochs, minibatches of 128 steps."""
     from sb3_contrib import RecurrentPPO
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.vec_env import DummyVecEnv
@@ -84,10 +85,10 @@ def recurrent_ppo(rate, epochs, minibatches):
     return rate(lambda: learner.learn(R * T, reset_num_timesteps=False), R * T, timings=3)
 
 
-def cleanrl_style(rate, epochs, minibatches):
+def cleanrl_style(rate, R, T, epochs, minibatches):
     """PPO with an LSTM as CleanRL's single file does it: T steps of R robots, then the convolutions
     at once and the LSTMs step by step, the memory cleared where an episode starts. CleanRL takes
-    4 epochs of 4 minibatches."""
+    128 steps of 8 robots, 4 epochs of 4 minibatches."""
     torch.manual_seed(0)
     net, env = Network(), NavVecEnv(R, "env1", "training", Config.random_starts)
     optimizer = torch.optim.Adam(net.parameters(), Config.learning_rate, eps=1e-5)
@@ -148,7 +149,7 @@ def cleanrl_style(rate, epochs, minibatches):
 
 PEERS = {"MiniWorld": ("env", miniworld), "ViZDoom": ("env", vizdoom)}
 for _name, _peer, _own in (
-        ("RecurrentPPO", recurrent_ppo, dict(epochs=10, minibatches=R * T // 128)),
-        ("CleanRL-style", cleanrl_style, dict(epochs=4, minibatches=4))):
-    PEERS[f"{_name}, its epochs"] = ("training", partial(_peer, **_own))
-    PEERS[f"{_name}, our epochs"] = ("training", partial(_peer, **OURS))
+        ("RecurrentPPO", recurrent_ppo, dict(R=8, T=128, epochs=10, minibatches=8)),
+        ("CleanRL-style", cleanrl_style, dict(R=8, T=128, epochs=4, minibatches=4))):
+    PEERS[f"{_name}, as it comes"] = ("training", partial(_peer, **_own))
+    PEERS[f"{_name}, our work"] = ("training", partial(_peer, **OURS))
