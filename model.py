@@ -110,12 +110,13 @@ class Network(nn.Module):
         (M,), memory. A sample may lie outside the actions' bounds: the environment clips it, but
         its log-probability is that of the sample as drawn.
         """
-        observations = {key: torch.as_tensor(value)[:, None] for key, value in observations.items()}
-        distribution, values, state = self(observations, state)
-        mean, std = distribution.mean[:, 0], distribution.stddev[:, 0]
+        seen = {key: torch.as_tensor(value)[:, None].to(self.log_std.device)
+                for key, value in observations.items()}
+        distribution, values, state = self(seen, state)
+        mean, std = distribution.mean[:, 0].cpu(), distribution.stddev[:, 0].cpu()
         actions = torch.normal(mean, std, generator=generator)
         log_probs = Normal(mean, std).log_prob(actions).sum(-1)
-        return mean, actions, log_probs, values[:, 0], state
+        return mean, actions, log_probs, values[:, 0].cpu(), state
 
     def forward(self, observations, state, mask=None):
         """Observations (M, T, ...) and the memory before them -> distribution of actions (M, T, 2),
