@@ -116,8 +116,8 @@ def rows(lengths):
 
 
 def lay(episodes, batch_advantages, device=None):
-    """A minibatch of episodes end to end in M rows of T steps, zeros in between: a dict of
-    (M, T, ...) and `mask`, which of them are real. Images have no zeros between: (B, H, W, 3)."""
+    """A minibatch of episodes end to end in M rows of T steps, zeros between: a dict of (M, T, ...)
+    on the device, `mask` is which are real. Images have no zeros between them: (B, H, W, 3)."""
     order = rows([len(e) for e in episodes])
 
     def stack(sequences):
@@ -180,7 +180,7 @@ def update(model, optimizer, episodes, config, rng):
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
     values, every_A, totals = torch.cat([e.values for e in episodes]), torch.cat(A).double(), {}
     n, first, second = total(torch.stack([every_A ** 0, every_A, every_A ** 2]).sum(1)).tolist()
-    mean, std = first / n, (second / n - (first / n) ** 2) ** 0.5
+    mean, std = first / n, max(second / n - (first / n) ** 2, 0) ** 0.5
     for _ in range(config.epochs):
         for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
             batch = lay([episodes[k] for k in chosen], [A[k] for k in chosen], model.log_std.device)

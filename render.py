@@ -4,8 +4,8 @@ The world is 2.5-D: upright boxes on a flat floor, all higher than the camera, a
 cube. So an image is made of columns: a column's ray meets the room in the plane, and what it meets
 is painted as texture between the rows where its top and its foot appear.
 
-Axis letters: R robots, K faces that one robot may see, B boxes, W = 64 columns, H = 48 rows,
-C columns of several images at once (C <= R W).
+Points of the plane are complex, x + iy [m]: a product turns. Axis letters: R robots, B boxes,
+F faces in view, K in one image, W = 64 columns, H = 48 rows, C columns of several images.
 """
 
 import numpy as np

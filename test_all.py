@@ -722,6 +722,18 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
         navbot_min.NavVecEnv(4, random_starts=1.5)
 
 
+def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers():
+    net = network()
+    optimizer = torch.optim.Adam(net.parameters(), 1e-3)
+    config = train.Config(epochs=1, minibatches=1)
+    for episodes in (random_episodes([1], seed) * 3 for seed in range(20)):
+        ppo.update(net, optimizer, episodes, config, np.random.default_rng(0))
+    config = train.Config(steps=1, robots=200, episodes_per_update=4, random_starts=1.0)
+    trained, record, _ = train.train(config, ENV1, None)
+    for weights in (net, trained):
+        assert all(torch.isfinite(p).all() for p in weights.parameters())
+
+
 @pytest.mark.parametrize("fixed_budget, steps", [(False, 8), (True, 200)])
 def test_the_rule_stops_nothing_in_a_fixed_budget(fixed_budget, steps, monkeypatch):
     monkeypatch.setattr(train.Record, "rule_is_met", lambda record: record.steps > 0)

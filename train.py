@@ -130,8 +130,8 @@ def train(config, scene, folder):
                     row = record.add(info)
                     folder and folder.add_row("episodes.csv", row)
             if not stops() and min(stored) >= config.episodes_per_update // PROCESSES:
-                left = 1 - record.steps / config.steps  # time left: both shrink to the end of it
-                optimizer.param_groups[0]["lr"] = config.learning_rate * max(left, 0)
+                left = max(1 - record.steps / config.steps, 0)  # both shrink with the time left
+                optimizer.param_groups[0]["lr"] = config.learning_rate * left
                 statistics = update(model, optimizer, buffer, config, rng)
                 model.limit_std(FINAL_STD + (1 - FINAL_STD) * left)
                 buffer.clear()
