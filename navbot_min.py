@@ -12,11 +12,10 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from command_line import CommandLine
-from render import Camera, H, W, draw_map
+from pictures import draw_demo
+from render import Camera, H, W
 from scene_file import SCENE_FOLDER, load_scene
 from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
                  ROBOT_RADIUS, Scene, SceneError, World, wrap_angle)
@@ -254,25 +253,6 @@ def drive_episode(env, seed):
     return np.array(poses), np.array(images), info
 
 
-def draw_demo(scene, episodes, path):
-    """The map with every episode's path, beside frames of the last episode, as a PNG file."""
-    figure, images = Figure(figsize=(13, 4.6), layout="constrained"), episodes[-1][1]
-    panels = figure.subplot_mosaic("m012\nm345", width_ratios=(2.6, 1, 1, 1))
-    axes = panels["m"]
-    draw_map(axes, scene)
-    axes.add_patch(Circle(scene.start[:2], ROBOT_RADIUS, color="#333333"))
-    for poses, _, info in episodes:
-        colour = "#12913a" if info["outcome"] == "arrival" else "#d62728"
-        axes.plot(*poses[:, :2].T, color=colour, lw=2)
-    axes.set_title(f"{scene.name}: paths from the start (black), red to a collision\n"
-                   "training targets blue, new ones green", fontsize=11)
-    for name, t in zip("012345", np.linspace(0, len(images) - 1, 6).astype(int)):
-        panels[name].imshow(images[t])
-        panels[name].set_title(f"last episode, {t * CONTROL_PERIOD:.1f} s", fontsize=10)
-        panels[name].axis("off")
-    figure.savefig(path, dpi=110)
-
-
 def main(argv=None):
     """The command line: a demonstration of the world that needs no torch."""
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
@@ -287,7 +267,7 @@ def main(argv=None):
             print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target "
                   f"{scene.targets[info['target']].tolist()}: {info['outcome']} after "
                   f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
-        draw_demo(scene, episodes, "demo.png")
+        draw_demo(scene, episodes).savefig("demo.png", dpi=110)
     except (SceneError, OSError) as error:
         parser.error(error)
     print("wrote demo.png: the map with the paths, and what the camera saw")

@@ -19,6 +19,25 @@ COLOURS = {"arrival": "#12913a", "collision": "#d62728", "timeout": "#e8a317"}
 MARKERS = {"arrival": ".", "collision": "x", "timeout": "s"}
 
 
+def draw_demo(scene, episodes):
+    """The map with every episode's path, beside frames of the last episode. episodes: poses
+    (T + 1, 3), images (T + 1, H, W, 3) and the last info of each. Returns a Figure."""
+    figure, images = Figure(figsize=(13, 4.6), layout="constrained"), episodes[-1][1]
+    panels = figure.subplot_mosaic("m012\nm345", width_ratios=(2.6, 1, 1, 1))
+    axes = panels["m"]
+    draw_map(axes, scene)
+    axes.add_patch(Circle(scene.start[:2], ROBOT_RADIUS, color="#333333"))
+    for poses, _, info in episodes:
+        axes.plot(*poses[:, :2].T, color=COLOURS[info["outcome"]], lw=2)
+    axes.set_title(f"{scene.name}: paths from the start (black), red to a collision\n"
+                   "training targets blue, new ones green", fontsize=11)
+    for name, t in zip("012345", np.linspace(0, len(images) - 1, 6).astype(int)):
+        panels[name].imshow(images[t])
+        panels[name].set_title(f"last episode, {t * CONTROL_PERIOD:.1f} s", fontsize=10)
+        panels[name].axis("off")
+    return figure
+
+
 def draw_curves(episodes, env, stop_rate):
     """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind.
 

@@ -28,9 +28,10 @@ from scene_file import load_scene
 HERE = Path(__file__).parent
 RESULTS, RUNS = HERE / "results", Path("runs") / "results"
 BUDGET = {"env1": 150_000, "env2": 250_000}  # steps, new targets' included
-WAYS = {"paper": ["--random-starts", "0"], "varied": []}  # the five seeds
+WAYS = {"paper": ["--random-starts", "0", "--mirrored", "0"], "varied": []}  # the five seeds
 ABLATIONS = {"single": ["--memory", "single"], "none": ["--memory", "none"],
-             "blind": ["--without", "image"], "no-last": ["--without", "last"]}  # three, varied
+             "blind": ["--without", "image"], "no-last": ["--without", "last"],
+             "one-room": ["--mirrored", "0"]}  # three seeds of each, varied
 COLOURS = {"paper": "#d62728", "varied": "#12913a"}
 
 
@@ -50,7 +51,7 @@ def run(env, way, flags, seed):
         shutil.rmtree(folder, ignore_errors=True)
         for command in (["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
                          str(BUDGET[env]), *flags, "--out", str(folder)],
-                        ["evaluate.py", str(folder), "--protocol", "anywhere"]):
+                        ["evaluate.py", str(folder), "--protocol", "anywhere", "--episodes", "500"]):
             subprocess.run([sys.executable, str(HERE / command[0]), *command[1:]], check=True,
                            env=one_core, capture_output=True)
         print(f"{folder} done", flush=True)

@@ -5,7 +5,7 @@ A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -74,6 +74,13 @@ class Scene:
         """(2, 2) lowest and highest (x, y) [m] of any box."""
         corners = np.concatenate([box.corners for box in self.boxes])
         return np.stack([corners.min(0), corners.max(0)])
+
+    def mirrored(self):
+        """The room as a mirror shows it, x for -x, without the new targets."""
+        x, y, theta = self.start
+        boxes = tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes)
+        return Scene(self.name, boxes, (-x, y, math.pi - theta),
+                     tuple((-x, y) for x, y in self.training_targets), ())
 
     def clearance(self, points):
         """Distance [m] from each of the (..., 2) points to the nearest box, negative inside one."""

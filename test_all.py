@@ -113,6 +113,28 @@ def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
         assert np.allclose(world.poses, [one.poses[0] for one in alone], atol=1e-9)
 
 
+@pytest.mark.parametrize("scene", [ENV1, ENV2])
+def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
+    mirrored, rng = scene.mirrored(), np.random.default_rng(4)
+    poses = [(*p, rng.uniform(-3, 3)) for p in rng.choice(scene.reachable, 50)] + [scene.start]
+    poses = np.array(poses)
+
+    def flip(poses):
+        return np.c_[-poses[:, 0], poses[:, 1], sim.wrap_angle(np.pi - poses[:, 2])]
+    assert np.allclose(flip(poses)[-1], mirrored.start) and not mirrored.new_targets
+    env = navbot_min.NavVecEnv(400, [scene, mirrored])
+    env.reset(seed=0)  # tests are in the true room alone
+    for room, goals in ((scene, env.goals[::2]), (mirrored, env.goals[1::2])):
+        assert set(map(tuple, goals)) == set(map(tuple, room.targets))
+    world, twin = sim.World([scene] * 51), sim.World([mirrored] * 51)
+    world.place(slice(None), poses)
+    twin.place(slice(None), flip(poses))
+    for _ in range(20):
+        commands = rng.uniform((0, -1), (0.3, 1), (51, 2))
+        assert (world.drive(commands) == twin.drive(commands * (1, -1))).all()
+    assert np.allclose(flip(world.poses)[:, :2], twin.poses[:, :2], atol=1e-6)
+
+
 def test_range_readings_match_the_distances_to_the_walls():
     world = sim.World([parse_scene(square_room(), "room")])
     world.place([0], [(0.5, 0.25, 0.3)])

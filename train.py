@@ -46,6 +46,7 @@ class Config:
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
     robots: int = option(32, "R, robots that drive side by side", 1)
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
+    mirrored: float = option(0.5, "share of the robots that drive in the mirrored room", 0.0, 1.0)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     without: str = option("", "an input that the network has to do without", choices=BLANKS)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
@@ -111,7 +112,10 @@ def train(config, scene, folder):
     rng = np.random.default_rng([config.seed, RANK])  # weights are the same, dice each has its own
     torch.manual_seed(rng.integers(2 ** 31))
     optimizer = torch.optim.Adam(model.parameters(), config.learning_rate, eps=1e-5, fused=True)
-    env = NavVecEnv(config.robots // PROCESSES, scene, "both", config.random_starts)  # line 3: P
+    R = config.robots // PROCESSES
+    mirrored = int(R * config.mirrored)  # of them: they only train, the tests are in the true room
+    rooms = [scene] * (R - mirrored) + [scene.mirrored()] * mirrored
+    env = NavVecEnv(R, rooms, "both", config.random_starts)  # line 3 of Algorithm 1: P
     collector = Collector(env, model, REWARD_SCALE, int(rng.integers(2 ** 31)))
     record, buffer, start = Record(scene), [], time.perf_counter()
 
