@@ -20,8 +20,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from command_line import CommandLine, option
-from evaluate import Planned, evaluate, summarise
-from pictures import PAPER_CURVES
+from evaluate import Planned, Policy, evaluate, load_run, rollouts, summarise
+from pictures import PAPER_CURVES, draw_trajectories
 from planners import PLANNERS
 from scene_file import load_scene
 
@@ -49,9 +49,10 @@ def run(env, way, flags, seed):
     folder, one_core = RUNS / f"{env}-{way}-seed{seed}", os.environ | {"OMP_NUM_THREADS": "1"}
     if not (folder / "evaluation-anywhere.json").exists():
         shutil.rmtree(folder, ignore_errors=True)
-        for command in (["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
-                         str(BUDGET[env]), *flags, "--out", str(folder)],
-                        ["evaluate.py", str(folder), "--protocol", "anywhere", "--episodes", "500"]):
+        train = ["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
+                 str(BUDGET[env]), *flags, "--out", str(folder)]
+        anywhere = ["evaluate.py", str(folder), "--protocol", "anywhere", "--episodes", "500"]
+        for command in (train, anywhere):
             subprocess.run([sys.executable, str(HERE / command[0]), *command[1:]], check=True,
                            env=one_core, capture_output=True)
         print(f"{folder} done", flush=True)
@@ -154,6 +155,13 @@ def draw_learning(curves, env):
     return figure
 
 
+def draw_paths(env):
+    """Fig. 6: the paths of seed 0's policy, 20 episodes to each target."""
+    model, scene = load_run(HERE / "pretrained" / f"{env}.pt")
+    episodes = rollouts(Policy(model, "sampled", 0), scene, [20] * len(scene.targets))
+    return draw_trajectories(scene, episodes)
+
+
 def markdown(rows):
     """The README's table: each room and way, worst seed first."""
     lines = ["| room | way | seed | training targets [95 %] | new targets [95 %] | SPL, new "
@@ -224,6 +232,7 @@ def main(argv=None):
     draw_memorizing_reasoning(curves).savefig(HERE / "pictures/memorizing-reasoning.png", dpi=110)
     for env, number in (("env1", 4), ("env2", 5)):
         draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
+        draw_paths(env).savefig(HERE / f"pictures/fig6-{env}.png", dpi=110)
     for name in ("seeds.csv", "ablations.csv"):
         if (RESULTS / name).exists():
             print(markdown(read_table(RESULTS / name)))
