@@ -31,6 +31,7 @@ from sim import SceneError
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 FINAL_STD = 0.2  # of the initial deviations, when a run uses all its steps, our choice
+FADE = 0.15  # share of the steps, the last ones, in which the deviations shrink to it, our choice
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
 
 # Which of how many processes this is: `torchrun --nproc-per-node 2 train.py` starts two.
@@ -134,10 +135,10 @@ def train(config, scene, folder):
                     row = record.add(info)
                     folder and folder.add_row("episodes.csv", row)
             if not stops() and min(stored) >= config.episodes_per_update // PROCESSES:
-                left = max(1 - record.steps / config.steps, 0)  # both shrink with the time left
+                left = max(1 - record.steps / config.steps, 0)
                 optimizer.param_groups[0]["lr"] = config.learning_rate * left
                 statistics = update(model, optimizer, buffer, config, rng)
-                model.limit_std(FINAL_STD + (1 - FINAL_STD) * left)
+                model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / FADE, 1))
                 buffer.clear()
                 speed = round(record.steps / (time.perf_counter() - start), 1)
                 folder and folder.add_row("updates.csv", {"steps": record.steps, **statistics,
