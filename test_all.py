@@ -27,6 +27,7 @@ import navbot_min
 import planners
 import ppo
 import render
+import results
 import sim
 import train
 from scene_file import load_scene, parse_scene
@@ -990,6 +991,36 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(runs, tmp_pat
     for name in ("trajectories.png", "episode.gif", "floor-env2-anywhere.png",
                  "evaluation-env2-anywhere.json"):
         assert (Path("run") / name).stat().st_size > 250
+
+
+def test_the_results_table_has_every_seed_worst_first_and_their_mean():
+    row = {f"{kind}_{key}": 0.5 for kind in ("training", "new", "anywhere")
+           for key in ("success", "low", "high", "spl")}
+    row |= {"env": "env1", "way": "varied", "mean_action_arrives": "3 of 3"}
+    lines = results.markdown([row | {"seed": seed, "new_success": success}
+                              for seed, success in (("0", 0.9), ("1", 0.2), ("2", 0.7))])
+    assert re.findall(r"varied \| (\S+) .*?\| \**(\d+\.\d) %\**[ |[].*?(\d+\.\d) %", lines) == [
+        ("1", "50.0", "20.0"), ("2", "50.0", "70.0"), ("0", "50.0", "90.0"),
+        ("**mean**", "50.0", "60.0")]
+
+
+def test_a_curves_points_are_means_over_the_last_100_episodes_of_a_kind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder, rng = Path("runs/results/env1-varied-seed7"), np.random.default_rng(0)
+    folder.mkdir(parents=True)
+    rows = [{"steps": 10 * k, "kind": str(rng.choice(["training", "new"])),
+             "outcome": str(rng.choice(navbot_min.OUTCOMES)), "return": rng.normal()}
+            for k in range(400)]
+    with open(folder / "episodes.csv", "w", newline="") as file:
+        csv.DictWriter(file, rows[0]).writeheader()
+        csv.DictWriter(file, rows[0]).writerows(rows)
+    points = results.curve("env1", "varied", 7)
+    assert {point["episodes"] for point in points} == {100, 150, 200}
+    for point in points:
+        last = [row for row in rows if row["kind"] == point["kind"]][:point["episodes"]][-100:]
+        assert point["success"] == sum(row["outcome"] == "arrival" for row in last) / 100
+        assert point["return"] == round(sum(row["return"] for row in last) / 100, 1)
+        assert int(point["steps"]) == last[-1]["steps"]
 
 
 def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
