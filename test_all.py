@@ -729,6 +729,18 @@ def test_new_targets_never_reach_an_update(monkeypatch):
     assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)  # all from the one start
 
 
+def test_the_share_of_the_robots_that_was_asked_for_drives_in_the_mirrored_room(monkeypatch):
+    class Made(Exception):
+        pass
+
+    def make(R, rooms, *_):
+        assert R == 8 and rooms == [ENV1] * 6 + [ENV1.mirrored()] * 2
+        raise Made
+    monkeypatch.setattr(train, "NavVecEnv", make)
+    with pytest.raises(Made):
+        train.train(train.Config(robots=8, mirrored=0.25), ENV1, None)
+
+
 def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
     env = navbot_min.NavVecEnv(400, random_starts=0.7)
     poses = env.reset(seed=0)[1]["pose"]
