@@ -115,16 +115,16 @@ def draw_memorizing_reasoning(curves):
     for axes, env in zip(figure.subplots(1, 2, sharey=True), BUDGET):
         for way, colour in COLOURS.items():
             for seed in "01234":
-                points = [(float(row["steps"]), 100 * float(row["success"])) for row in curves
+                points = [(float(row["steps"]) / 1000, 100 * float(row["success"])) for row in curves
                           if (row["env"], row["way"], row["seed"], row["kind"])
                           == (env, way, seed, "new")]
                 label = {"paper": "one start pose", "varied": "starts anywhere, and mirrored"}
                 axes.plot(*zip(*points), color=colour, lw=1.3, alpha=0.8,
                           label=label[way] if seed == "0" else None)
-        axes.set(title=env, xlabel="steps", ylim=(-2, 102))
+        axes.set(title=env, xlabel="steps [thousands]", ylim=(-2, 102))
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("new targets reached, last 100 episodes [%]")
-    figure.axes[0].legend(loc="upper left")
+    figure.axes[0].legend(loc="center right")
     return figure
 
 
