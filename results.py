@@ -115,8 +115,8 @@ def draw_memorizing_reasoning(curves):
     for axes, env in zip(figure.subplots(1, 2, sharey=True), BUDGET):
         for way, colour in COLOURS.items():
             for seed in "01234":
-                points = [(float(row["steps"]) / 1000, 100 * float(row["success"])) for row in curves
-                          if (row["env"], row["way"], row["seed"], row["kind"])
+                points = [(float(row["steps"]) / 1000, 100 * float(row["success"]))
+                          for row in curves if (row["env"], row["way"], row["seed"], row["kind"])
                           == (env, way, seed, "new")]
                 label = {"paper": "one start pose", "varied": "starts anywhere, and mirrored"}
                 axes.plot(*zip(*points), color=colour, lw=1.3, alpha=0.8,
