@@ -33,6 +33,8 @@ WAYS = {"varied": VARIED, "paper": ["--random-starts", "0"]}  # five seeds of ea
 ABLATIONS = {"single": [*VARIED, "--memory", "single"], "none": [*VARIED, "--memory", "none"],
              "blind": [*VARIED, "--without", "image"], "no-last": [*VARIED, "--without", "last"],
              "one-room": []}  # three seeds of each
+PAPER = {("env1", "new"): "81 %", ("env2", "new"): "69 %",  # "ultimate" success rates, paper IV-B
+         ("env1", "training"): "> 75 %", ("env2", "training"): "62 %"}  # and the released record's
 COLOURS = {"paper": "#d62728", "varied": "#12913a"}
 
 
@@ -163,6 +165,22 @@ def draw_paths(env):
     return draw_trajectories(scene, episodes)
 
 
+def summary_markdown(rows):
+    """The README's first table: the paper's numbers, and the mean and the worst of our seeds."""
+    lines = ["| protocol `paper` unless said | paper, one run | " + " | ".join(
+        f"`{way}`, mean of five seeds (worst)" for way in COLOURS) + " |", "|---" * 4 + "|"]
+    for kind, name in (("new", "new targets"), ("training", "training targets"),
+                       ("anywhere", "`anywhere`")):
+        for env in BUDGET:
+            cells = [f"{env}, {name}", PAPER.get((env, kind), "-")]
+            for way in COLOURS:
+                reached = [100 * float(row[f"{kind}_success"]) for row in rows
+                           if (row["env"], row["way"]) == (env, way)]
+                cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} %)")
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def markdown(rows):
     """The README's table: each room and way, worst seed first."""
     lines = ["| room | way | seed | training targets [95 %] | new targets [95 %] | SPL, new "
@@ -254,7 +272,7 @@ def main(argv=None):
         draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
         draw_paths(env).savefig(HERE / f"pictures/fig6-{env}.png", dpi=110)
     seeds = read_table(RESULTS / "seeds.csv")
-    print(markdown(seeds))
+    print(summary_markdown(seeds), markdown(seeds), sep="\n\n")
     if (RESULTS / "ablations.csv").exists():
         print(ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")))
 
