@@ -47,7 +47,7 @@ class Config:
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
     robots: int = option(32, "R, robots that drive side by side", 1)
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
-    mirrored: float = option(0.0, "share of the robots that drive in the mirrored room", 0.0, 1.0)
+    mirrored: float = option(0.5, "share of the robots that drive in the mirrored room", 0.0, 1.0)
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     without: str = option("", "an input that the network has to do without", choices=BLANKS)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
