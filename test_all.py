@@ -1005,6 +1005,13 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(runs, tmp_pat
         assert (Path("run") / name).stat().st_size > 250
 
 
+@pytest.mark.parametrize("name", ["env1", "env2"])
+def test_the_pretrained_policy_arrives_at_every_target(name):
+    net, scene = evaluate.load_run(ROOT / "pretrained" / f"{name}.pt")
+    done = evaluate.rollouts(evaluate.Policy(net, "mean", 0), scene, [1] * len(scene.targets))
+    assert scene == load_scene(name) and [e["outcome"] for e in done].count("arrival") == len(done)
+
+
 def test_the_results_table_has_every_seed_worst_first_and_their_mean():
     row = {f"{kind}_{key}": 0.5 for kind in ("training", "new", "anywhere")
            for key in ("success", "low", "high", "spl")}
