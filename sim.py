@@ -76,7 +76,8 @@ class Scene:
         return np.stack([corners.min(0), corners.max(0)])
 
     def mirrored(self):
-        """The room as a mirror shows it, x for -x, without the new targets."""
+        """The room as a mirror shows it, x for -x, without the new targets. The sun stays where it
+        is, so its images are the flipped ones in another light."""
         x, y, theta = self.start
         boxes = tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes)
         return Scene(self.name, boxes, (-x, y, math.pi - theta),

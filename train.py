@@ -71,7 +71,8 @@ class Record:
         self._last = {kind: deque(maxlen=WINDOW) for kind in ("training", "new")}
 
     def add(self, info):
-        """Adds an episode; returns its row of episodes.csv."""
+        """Adds an episode; returns its row of episodes.csv, where a target of the mirrored room is
+        named by its place in the true one."""
         kind = "new" if info["new"] else "training"
         x, y = self.scene.targets[info["target"]]
         row = {"steps": self.steps, "target_x": x.item(), "target_y": y.item(), "kind": kind}
