@@ -1005,6 +1005,21 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(runs, tmp_pat
         assert (Path("run") / name).stat().st_size > 250
 
 
+def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
+    shares, steps = [], []
+
+    class Folder:
+        def add_row(self, name, row):
+            if name == "updates.csv":
+                steps.append(row["steps"])
+    monkeypatch.setattr(train, "update", lambda *_: {})
+    monkeypatch.setattr(train.Network, "limit_std", lambda self, share: shares.append(share))
+    train.train(train.Config(steps=2000, fixed_budget=True, episodes_per_update=2, minibatches=1),
+                ENV1, Folder())
+    assert shares == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
+    assert min(steps) < 1700 and sum(1700 < s < 2000 for s in steps) >= 2
+
+
 @pytest.mark.parametrize("name", ["env1", "env2"])
 def test_the_pretrained_policy_arrives_at_every_target(name):
     net, scene = evaluate.load_run(ROOT / "pretrained" / f"{name}.pt")
