@@ -11,7 +11,8 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
-MEMORIES, BLANKS = ("stacked", "single", "none"), ("", "image", "last")  # ablations
+MEMORIES = ("stacked", "single", "none")  # ablations of the paper
+BLANKS = ("", "image", "target", "last")  # inputs that can be blanked, ours
 HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
@@ -63,7 +64,8 @@ class Network(nn.Module):
     all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
 
     def __init__(self, memory="stacked", without="", command_scale=(0.3, 1.0)):
-        """without: an input that is blanked, "image" or "last" (last velocity and reward).
+        """without: an input that is blanked, "image", "target" (where it is; the camera still shows
+        it) or "last" (last velocity and reward).
         command_scale: maximum linear [m/s] and angular [rad/s] velocity, paper III-C."""
         super().__init__()
         if memory not in MEMORIES:
@@ -130,7 +132,8 @@ class Network(nn.Module):
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
         last = last * 0 if self.without == "last" else last
-        x, states = torch.cat([features, target * TARGET_SCALE], -1), []
+        target = target * (0 if self.without == "target" else TARGET_SCALE)
+        x, states = torch.cat([features, target], -1), []
         if self.memory == "single":
             x = torch.cat([x, last], -1)
         for k, memory in enumerate(self.memories):

@@ -2,8 +2,8 @@
 
 `python results.py` trains each room, way and seed for a fixed budget of steps, two runs at a time
 with a core each, evaluates the frozen last policies, and writes `results/*.csv` and the figures.
-A run that is there already is not trained again, so that it can be interrupted. `--draw` makes the
-figures alone, from the tables.
+A run that is there already is not trained again: interrupted, it goes on with the next one. `--draw`
+makes the figures alone, from the tables.
 """
 
 import csv
@@ -30,8 +30,8 @@ RESULTS, RUNS = HERE / "results", Path("runs") / "results"
 BUDGET = {"env1": 250_000, "env2": 400_000}  # steps, new targets' included
 WAYS = {"varied": [], "paper": ["--random-starts", "0", "--mirrored", "0"]}  # five seeds of each
 ABLATIONS = {"single": ["--memory", "single"], "none": ["--memory", "none"],
-             "blind": ["--without", "image"], "no-last": ["--without", "last"],
-             "one-room": ["--mirrored", "0"]}  # three seeds of each, varied
+             "blind": ["--without", "image"], "no-target": ["--without", "target"],
+             "no-last": ["--without", "last"], "one-room": ["--mirrored", "0"]}  # three seeds each
 PAPER = {("env1", "new"): "81 %", ("env2", "new"): "69 %",  # "ultimate" success rates, paper IV-B
          ("env1", "training"): "> 75 %", ("env2", "training"): "62 %"}  # and the released record's
 COLOURS = {"paper": "#d62728", "varied": "#12913a"}
@@ -54,9 +54,9 @@ def run(env, way, flags, seed):
         train = ["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
                  str(BUDGET[env]), *flags, "--out", str(folder)]
         anywhere = ["evaluate.py", str(folder), "--protocol", "anywhere", "--episodes", "500"]
-        for command in (train, anywhere):
+        for command in (train, anywhere):  # in a session of its own, Ctrl-C does not cut it short
             subprocess.run([sys.executable, str(HERE / command[0]), *command[1:]], check=True,
-                           env=one_core, capture_output=True)
+                           env=one_core, capture_output=True, start_new_session=True)
         print(f"{folder} done", flush=True)
     summary = json.loads((folder / "summary.json").read_text())
     anywhere = json.loads((folder / "evaluation-anywhere.json").read_text())["anywhere"]
@@ -242,7 +242,8 @@ def planners_markdown(rows):
 
 def main(argv=None):
     """The command line."""
-    options = CommandLine("Make every table and figure of the results.").read(Options, argv)
+    parser = CommandLine("Make every table and figure of the results.")
+    options = parser.read(Options, argv)
     if options.planners:
         rows = [examine(env, name) for name in PLANNERS for env in BUDGET]
         write_table("planners.csv", rows)
@@ -254,7 +255,13 @@ def main(argv=None):
             tasks += [(env, way, flags, seed) for env in BUDGET for seed in range(3)
                       for way, flags in ABLATIONS.items()]
         with ThreadPoolExecutor(options.jobs) as pool:
-            rows = list(pool.map(lambda task: run(*task), tasks))
+            try:
+                rows = list(pool.map(lambda task: run(*task), tasks))
+            except KeyboardInterrupt:
+                parser.error("interrupted: the runs under way are finished, no other is begun")
+            except subprocess.CalledProcessError as error:
+                reason = error.stderr.decode().strip().splitlines()[-1]
+                parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
         write_table("seeds.csv", [row for row in rows if row["way"] in WAYS])
         if options.ablations:
             write_table("ablations.csv", [row for row in rows if row["way"] in ABLATIONS])

@@ -434,7 +434,7 @@ def test_one_robots_memory_never_reaches_another():
 
 
 @pytest.mark.parametrize("without, inputs", [
-    ("image", ["image"]), ("last", ["velocity", "reward"])])
+    ("image", ["image"]), ("target", ["target"]), ("last", ["velocity", "reward"])])
 def test_a_blanked_input_makes_no_difference(without, inputs):
     for blanked, same in ((without, True), ("", False)):
         net, seen = network(without=blanked), random_observations(2, 3)
