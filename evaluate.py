@@ -24,6 +24,7 @@ from scene_file import load_scene, parse_scene
 from sim import CONTROL_PERIOD, ROBOT_RADIUS, SceneError
 
 EPISODES_PER_ROBOT = 8  # at most; the robots of all targets drive side by side
+HIDDEN = ("", "place", "cube", "both")  # what a policy may not be shown of its target
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
 
 
@@ -39,11 +40,21 @@ def wilson(successes, n):
 class Exam(NavVecEnv):
     """Episodes as a protocol asks for them: `paper`, the paper's start and heading; `perturbed`,
     the start moved by 5 cm and 10 degrees, one standard deviation each, drawn again until free;
-    `anywhere`, any reachable start and goal at least 1 m apart, at any heading."""
+    `anywhere`, any reachable start and goal at least 1 m apart, at any heading. hidden: `place`,
+    the observed distance and bearing are 0; `cube`, the camera does not show the target; `both`."""
 
-    def __init__(self, scene, targets, protocol):
+    def __init__(self, scene, targets, protocol, hidden=""):
         super().__init__(len(targets), scene, targets)
-        self.protocol = protocol
+        self.protocol, self.hidden = protocol, hidden
+
+    def _observe(self, robots, poses, targets, velocity, reward):
+        seen = super()._observe(robots, poses, targets, velocity, reward)
+        if self.hidden in ("place", "both"):
+            seen["target"] = np.zeros_like(seen["target"])
+        if self.hidden in ("cube", "both"):
+            elsewhere = targets + 1000  # [m]
+            seen["image"] = self.camera.render(self.room[robots], poses, elsewhere)
+        return seen
 
     def draw(self, r):
         target, goal, start = super().draw(r)
@@ -99,7 +110,7 @@ class Planned:
         self.planners[r].begin(env.world.poses[r], env.goals[r])
 
 
-def rollouts(driver, scene, quotas, protocol="paper", seed=0):
+def rollouts(driver, scene, quotas, protocol="paper", seed=0, hidden=""):
     """Drives `quotas[k]` episodes to target k, for every k; returns a dict each: what `final_info`
     of the environment holds, `start` (3,), `goal` (2,), `path` (T + 1, 3) poses, `metres` driven.
 
@@ -111,7 +122,7 @@ def rollouts(driver, scene, quotas, protocol="paper", seed=0):
         robots = math.ceil(n / EPISODES_PER_ROBOT)
         targets += [k] * robots
         quota += [n // robots + (i < n % robots) for i in range(robots)]
-    env, quota, episodes = Exam(scene, targets, protocol), np.array(quota), []
+    env, quota, episodes = Exam(scene, targets, protocol, hidden), np.array(quota), []
     observations, infos = env.reset(seed=seed)
     paths, metres = [[pose] for pose in infos["pose"]], np.zeros(len(targets))
     driver.begin(env)
@@ -133,9 +144,9 @@ def rollouts(driver, scene, quotas, protocol="paper", seed=0):
     return episodes
 
 
-def watch(driver, scene, target, seed=0):
+def watch(driver, scene, target, seed=0, hidden=""):
     """One episode to that target, by its index: the pose, image and velocity of every step."""
-    env = Exam(scene, [target], "paper")
+    env = Exam(scene, [target], "paper", hidden)
     observations, infos = env.reset(seed=seed)
     driver.begin(env)
     frames, over = [(infos["pose"][0], observations["image"][0], np.zeros(2))], False
@@ -178,19 +189,20 @@ def summarise(scene, episodes):
             "seconds_to_arrive": sum(times) / len(times) if times else None}
 
 
-def evaluate(driver, scene, episodes=1000, protocol="paper", seed=0, actions="sampled"):
+def evaluate(driver, scene, episodes=1000, protocol="paper", seed=0, actions="sampled", hidden=""):
     """Frozen evaluation: no learning, fresh episodes. Returns what `evaluation.json` holds, and the
     episodes.
 
     driver: a Policy or Planned. episodes: so many of each kind, training and new, split evenly over
-    its targets; by `anywhere`, so many in all.
+    its targets; by `anywhere`, so many in all. hidden: as in `Exam`.
     """
     counts = [len(scene.training_targets), len(scene.new_targets)]
     quotas = [max(1, episodes // count + (k < episodes % count))
               for count in counts for k in range(count)]
     anywhere = protocol == "anywhere"
-    done = rollouts(driver, scene, [episodes] if anywhere else quotas, protocol, seed)
-    result = {"protocol": protocol, "actions": actions, "training": None, "new": None}
+    done = rollouts(driver, scene, [episodes] if anywhere else quotas, protocol, seed, hidden)
+    result = {"protocol": protocol, "actions": actions, "hidden": hidden, "training": None,
+              "new": None}
     if anywhere:
         return result | {"anywhere": summarise(scene, done), "targets": []}, done
     for kind in ("training", "new"):
@@ -265,6 +277,8 @@ class Options:
     env: str = option("", "carry the policy into another room: a scene's name or path")
     protocol: str = option("paper", "where episodes start and lead",
                            choices=("paper", "perturbed", "anywhere"))
+    hide: str = option("", "what the policy is not shown of its target: its place, its cube, both",
+                       choices=HIDDEN)
     episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
     seed: int = option(0, "of every random number", 0)
     json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
@@ -279,6 +293,9 @@ def main(argv=None):
     options = parser.read(Options, argv)
     if bool(run) == bool(options.planner):
         parser.error("give either a run (a folder or a .pt file) or --planner")
+    if options.hide and options.planner:
+        parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
+                     "told their target's position")
     actions = "sampled" if options.protocol == "paper" else "mean"
     try:
         model, scene = load_run(run) if run else (None, load_scene(options.env or "env1"))
@@ -290,17 +307,18 @@ def main(argv=None):
         folder = Path(run) if run and Path(run).is_dir() else Path("evaluations") / (
             f"{name}-{scene.name}" if options.planner or carried else name)
         suffix = (f"-{scene.name}" if carried and folder == Path(run) else "") + (
-            "" if options.protocol == "paper" else f"-{options.protocol}")
+            "" if options.protocol == "paper" else f"-{options.protocol}") + (
+            f"-hidden-{options.hide}" if options.hide else "")
         folder.mkdir(parents=True, exist_ok=True)
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
     result, episodes = evaluate(driver, scene, options.episodes, options.protocol, options.seed,
-                                actions if run else options.planner)
+                                actions if run else options.planner, options.hide)
     (folder / f"evaluation{suffix}.json").write_text(json.dumps(result, indent=2) + "\n")
     draw_trajectories(scene, episodes).savefig(folder / f"trajectories{suffix}.png", dpi=110)
     if options.protocol == "anywhere":
         draw_floor(scene, episodes).savefig(folder / f"floor{suffix}.png", dpi=110)
-    frames = watch(driver, scene, len(scene.targets) - 1, options.seed)
+    frames = watch(driver, scene, len(scene.targets) - 1, options.seed, options.hide)
     write_episode(scene, scene.targets[-1], frames, folder / f"episode{suffix}.gif")
     if options.json:
         print(json.dumps(result, indent=2))

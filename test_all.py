@@ -826,6 +826,34 @@ def test_the_protocols_start_and_lead_where_they_say():
     assert away.min() >= 1 and (np.ptp(goals["anywhere"], axis=0) > (3, 1.5)).all()
 
 
+@pytest.mark.parametrize("hidden, place, cube", [
+    ("", True, True), ("place", False, True), ("cube", True, False), ("both", False, False)])
+def test_what_is_hidden_of_a_target_is_not_observed_and_nothing_else_changes(hidden, place, cube):
+    room, seen = parse_scene(square_room(), "room"), []
+    for target, what in ((0, hidden), (0, ""), (1, "")):  # target 1 is to the left, out of view
+        exam = evaluate.Exam(room, [target], "paper", what)
+        exam.reset(seed=0)
+        seen.append(exam.step([[0.5, 0.0]])[0])
+    one, ahead, aside = seen
+    assert np.array_equal(one["image"], (ahead if cube else aside)["image"])
+    assert not np.array_equal(ahead["image"], aside["image"])
+    assert np.array_equal(one["target"], ahead["target"] * place)
+    assert all(np.array_equal(one[key], ahead[key]) for key in ("velocity", "reward"))
+
+
+def test_an_evaluation_and_its_film_hide_the_same():
+    shown = []
+
+    class Spy(evaluate.Policy):
+        def act(self, env, observations):
+            shown.append(observations["target"].any())
+            return super().act(env, observations)
+    spy = Spy(network(), "mean", 0)
+    evaluate.evaluate(spy, ENV1, 1, hidden="place")
+    evaluate.watch(spy, ENV1, 2, hidden="place")
+    assert shown and not any(shown)
+
+
 @pytest.mark.parametrize("success, shortest, metres, expected", [
     (True, 2.0, 4.0, 0.5), (True, 2.0, 1.9, 1.0), (False, 2.0, 2.0, 0.0),
     (True, 0.0, 0.1, 1.0), (False, math.inf, 3.0, 0.0)])
@@ -985,7 +1013,8 @@ def test_a_run_that_cannot_be_used_is_one_line_and_nothing_is_executed(
     (["--planner", "oracle", "--episodes", "0"], "--episodes is 0, it must be from 1 up"),
     (["--planner", "teleport"], "'teleport'"), (["--planner", "oracle", "--env", "env9"], "env9"),
     ([], "run"), (["runs/x", "--planner", "bug"], "either"),
-    (["--planner", "bug", "--protocol", "mine"], "'mine'")])
+    (["--planner", "bug", "--protocol", "mine"], "'mine'"),
+    (["--planner", "bug", "--hide", "cube"], "--hide is cube, it must be left out")])
 def test_bad_input_to_an_evaluation_is_one_line(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert words in bad_call(capsys, evaluate.main, arguments) and not any(tmp_path.iterdir())
@@ -1000,8 +1029,11 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(runs, tmp_pat
     assert json.loads(capsys.readouterr().out) == written
     evaluate.main([str(run), "--episodes", "6", "--protocol", "anywhere", "--env", "env2"])
     assert "any free target" in capsys.readouterr().out
+    evaluate.main([str(run), "--episodes", "6", "--hide", "cube"])
+    hidden = json.loads(Path("run/evaluation-hidden-cube.json").read_text())
+    assert (written["hidden"], hidden["hidden"]) == ("", "cube")
     for name in ("trajectories.png", "episode.gif", "floor-env2-anywhere.png",
-                 "evaluation-env2-anywhere.json"):
+                 "evaluation-env2-anywhere.json", "trajectories-hidden-cube.png"):
         assert (Path("run") / name).stat().st_size > 250
 
 
