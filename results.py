@@ -2,8 +2,8 @@
 
 `python results.py` trains each room, way and seed for a fixed budget of steps, two runs at a time
 with a core each, evaluates the frozen last policies, and writes `results/*.csv` and the figures.
-A run that is there already is not trained again: interrupted, it goes on with the next one. `--draw`
-makes the figures alone, from the tables.
+A run that is there already is not trained again: interrupted, it goes on with the next one.
+`--draw` makes the figures alone, from the tables.
 """
 
 import csv
@@ -14,13 +14,14 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from command_line import CommandLine, option
-from evaluate import Planned, Policy, evaluate, load_run, rollouts, summarise
+from evaluate import HIDDEN, Planned, Policy, evaluate, load_run, rollouts, summarise
 from pictures import PAPER_CURVES, draw_trajectories
 from planners import PLANNERS
 from scene_file import load_scene
@@ -46,17 +47,21 @@ class Options:
     jobs: int = option(2, "runs at a time, a core each", 1)
 
 
+def call(script, *arguments):
+    """Runs a script of ours on one core, in a session of its own: Ctrl-C does not cut it short."""
+    subprocess.run([sys.executable, str(HERE / script), *map(str, arguments)], check=True,
+                   env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True,
+                   start_new_session=True)
+
+
 def run(env, way, flags, seed):
     """Trains and examines one run, unless that is done; returns its row of the table."""
-    folder, one_core = RUNS / f"{env}-{way}-seed{seed}", os.environ | {"OMP_NUM_THREADS": "1"}
+    folder = RUNS / f"{env}-{way}-seed{seed}"
     if not (folder / "evaluation-anywhere.json").exists():
         shutil.rmtree(folder, ignore_errors=True)
-        train = ["train.py", "--env", env, "--seed", str(seed), "--fixed-budget", "--steps",
-                 str(BUDGET[env]), *flags, "--out", str(folder)]
-        anywhere = ["evaluate.py", str(folder), "--protocol", "anywhere", "--episodes", "500"]
-        for command in (train, anywhere):  # in a session of its own, Ctrl-C does not cut it short
-            subprocess.run([sys.executable, str(HERE / command[0]), *command[1:]], check=True,
-                           env=one_core, capture_output=True, start_new_session=True)
+        call("train.py", "--env", env, "--seed", seed, "--fixed-budget", "--steps", BUDGET[env],
+             *flags, "--out", folder)
+        call("evaluate.py", folder, "--protocol", "anywhere", "--episodes", 500)
         print(f"{folder} done", flush=True)
     summary = json.loads((folder / "summary.json").read_text())
     anywhere = json.loads((folder / "evaluation-anywhere.json").read_text())["anywhere"]
@@ -68,6 +73,21 @@ def run(env, way, flags, seed):
                 for key in ("success", "low", "high", "collision", "timeout", "spl")}
     arrive = [target["mean_action_arrives"] for target in summary["frozen"]["targets"]]
     return row | {"mean_action_arrives": f"{sum(arrive)} of {len(arrive)}"}
+
+
+def hide(env, way, seed):
+    """Examines that run's policy with its target hidden, unless that is done; returns its rows of
+    hidden.csv, one for each thing that is hidden."""
+    rows, folder = [], RUNS / f"{env}-{way}-seed{seed}"
+    for hidden in HIDDEN[1:]:
+        result = folder / f"evaluation-hidden-{hidden}.json"
+        if not result.exists():
+            call("evaluate.py", folder, "--hide", hidden, "--episodes", 500)
+        result = json.loads(result.read_text())
+        rows.append({"env": env, "way": way, "seed": seed, "hidden": hidden} | {
+            f"{kind}_{key}": round(result[kind][key], 4) for kind in ("training", "new")
+            for key in ("n", "success", "low", "high", "collision", "timeout")})
+    return rows
 
 
 def curve(env, way, seed, every=50):
@@ -224,6 +244,21 @@ def ablations_markdown(rows):
     return "\n".join(lines)
 
 
+def hidden_markdown(rows, seeds):
+    """The README's table of hidden targets: mean over the seeds, the worst and the best."""
+    lines = ["| room, targets | way | " + " | ".join(
+        f"{name} hidden" for name in ("nothing", *HIDDEN[1:])) + " |", "|---" * 6 + "|"]
+    rows = [row | {"hidden": ""} for row in seeds] + rows
+    for env, kind, way in product(BUDGET, ("new", "training"), COLOURS):
+        cells = []
+        for hidden in HIDDEN:
+            reached = [100 * float(row[f"{kind}_success"]) for row in rows
+                       if (row["env"], row["way"], row["hidden"]) == (env, way, hidden)]
+            cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} to {max(reached):.1f})")
+        lines.append(f"| {env}, {kind} | {way} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def planners_markdown(rows):
     """The README's table of the planners."""
     lines = ["| planner | env1, targets reached | env2, targets reached | env1, anywhere, SPL "
@@ -257,12 +292,15 @@ def main(argv=None):
         with ThreadPoolExecutor(options.jobs) as pool:
             try:
                 rows = list(pool.map(lambda task: run(*task), tasks))
+                hidden = list(pool.map(lambda row: hide(row["env"], row["way"], row["seed"]),
+                                       [row for row in rows if row["way"] in WAYS]))
             except KeyboardInterrupt:
                 parser.error("interrupted: the runs under way are finished, no other is begun")
             except subprocess.CalledProcessError as error:
                 reason = error.stderr.decode().strip().splitlines()[-1]
                 parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
         write_table("seeds.csv", [row for row in rows if row["way"] in WAYS])
+        write_table("hidden.csv", list(chain(*hidden)))
         if options.ablations:
             write_table("ablations.csv", [row for row in rows if row["way"] in ABLATIONS])
         write_table("curves.csv", [point for env, way, _, seed in tasks if way in WAYS
@@ -277,9 +315,9 @@ def main(argv=None):
         draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
         draw_paths(env).savefig(HERE / f"pictures/fig6-{env}.png", dpi=110)
     seeds = read_table(RESULTS / "seeds.csv")
-    print(summary_markdown(seeds), markdown(seeds), sep="\n\n")
-    if (RESULTS / "ablations.csv").exists():
-        print(ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")))
+    print(summary_markdown(seeds), markdown(seeds),
+          hidden_markdown(read_table(RESULTS / "hidden.csv"), seeds),
+          ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")), sep="\n\n")
 
 
 if __name__ == "__main__":
