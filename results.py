@@ -184,16 +184,18 @@ def draw_paths(env):
     return draw_trajectories(scene, episodes)
 
 
-def summary_markdown(rows):
-    """The README's first table: the paper's numbers, and the mean and the worst of our seeds."""
+def summary_markdown(rows, others):
+    """The README's first table: the paper's numbers, and the mean and the worst of our five seeds,
+    twice: here, and the same on another machine."""
     lines = ["| protocol `paper` unless said | paper, one run | " + " | ".join(
-        f"`{way}`, mean of five seeds (worst)" for way in COLOURS) + " |", "|---" * 4 + "|"]
+        f"`{way}`, {where}" for way in COLOURS for where in ("mean (worst)", "other machine"))
+        + " |", "|---" * 6 + "|"]
     for kind, name in (("new", "new targets"), ("training", "training targets"),
                        ("anywhere", "`anywhere`")):
         for env in BUDGET:
             cells = [f"{env}, {name}", PAPER.get((env, kind), "-")]
-            for way in COLOURS:
-                reached = [100 * float(row[f"{kind}_success"]) for row in rows
+            for way, table in product(COLOURS, (rows, others)):
+                reached = [100 * float(row[f"{kind}_success"]) for row in table
                            if (row["env"], row["way"]) == (env, way)]
                 cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} %)")
             lines.append("| " + " | ".join(cells) + " |")
@@ -245,17 +247,17 @@ def ablations_markdown(rows):
 
 
 def hidden_markdown(rows, seeds):
-    """The README's table of hidden targets: mean over the seeds, the worst and the best."""
-    lines = ["| room, targets | way | " + " | ".join(
-        f"{name} hidden" for name in ("nothing", *HIDDEN[1:])) + " |", "|---" * 6 + "|"]
+    """The README's table of hidden targets: seed 0's policies, with 95 % intervals."""
+    lines = ["| targets | " + " | ".join(
+        f"{name} hidden" for name in ("nothing", *HIDDEN[1:])) + " |", "|---" * 5 + "|"]
     rows = [row | {"hidden": ""} for row in seeds] + rows
-    for env, kind, way in product(BUDGET, ("new", "training"), COLOURS):
-        cells = []
-        for hidden in HIDDEN:
-            reached = [100 * float(row[f"{kind}_success"]) for row in rows
-                       if (row["env"], row["way"], row["hidden"]) == (env, way, hidden)]
-            cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} to {max(reached):.1f})")
-        lines.append(f"| {env}, {kind} | {way} | " + " | ".join(cells) + " |")
+    for env, kind in product(BUDGET, ("new", "training")):
+        cells = ["{:.1f} % [{:.1f}, {:.1f}]".format(*(100 * float(row[f"{kind}_{key}"])
+                                                      for key in ("success", "low", "high")))
+                 for hidden in HIDDEN for row in rows
+                 if (row["env"], row["way"], row["seed"], row["hidden"])
+                 == (env, "varied", "0", hidden)]
+        lines.append(f"| {env}, {kind} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -292,8 +294,7 @@ def main(argv=None):
         with ThreadPoolExecutor(options.jobs) as pool:
             try:
                 rows = list(pool.map(lambda task: run(*task), tasks))
-                hidden = list(pool.map(lambda row: hide(row["env"], row["way"], row["seed"]),
-                                       [row for row in rows if row["way"] in WAYS]))
+                hidden = list(pool.map(lambda env: hide(env, "varied", 0), BUDGET))
             except KeyboardInterrupt:
                 parser.error("interrupted: the runs under way are finished, no other is begun")
             except subprocess.CalledProcessError as error:
@@ -315,7 +316,7 @@ def main(argv=None):
         draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
         draw_paths(env).savefig(HERE / f"pictures/fig6-{env}.png", dpi=110)
     seeds = read_table(RESULTS / "seeds.csv")
-    print(summary_markdown(seeds), markdown(seeds),
+    print(summary_markdown(seeds, read_table(RESULTS / "other-machine.csv")), markdown(seeds),
           hidden_markdown(read_table(RESULTS / "hidden.csv"), seeds),
           ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")), sep="\n\n")
 
