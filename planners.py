@@ -24,10 +24,15 @@ GAP = 0.001  # [m] that a shortest path keeps from the walls
 AROUND = np.exp(2j * np.pi * np.arange(12) / 12)  # directions all around
 
 
+def polar(pose, point):
+    """Distance [m] and bearing [rad] of a point from a pose."""
+    dx, dy = point[0] - pose[0], point[1] - pose[1]
+    return math.hypot(dx, dy), wrap_angle(math.atan2(dy, dx) - pose[2])
+
+
 def turn_and_go(pose, point):
     """Velocities that turn to the point on the spot, and then drive straight to it, exactly."""
-    dx, dy = point[0] - pose[0], point[1] - pose[1]
-    bearing, distance = wrap_angle(math.atan2(dy, dx) - pose[2]), math.hypot(dx, dy)
+    distance, bearing = polar(pose, point)
     if abs(bearing) > 1e-6 and distance > 1e-6:
         return 0.0, np.clip(bearing / CONTROL_PERIOD, -MAX_ANGULAR_VELOCITY, MAX_ANGULAR_VELOCITY)
     return min(distance / CONTROL_PERIOD, MAX_LINEAR_VELOCITY), 0.0
@@ -255,16 +260,18 @@ class Bug(Planner):
     def act(self, pose, readings):
         if self.step is None:
             self.step = self.next_step(pose, readings)
-        v, w = turn_and_go(pose, self.step)
-        self.step = self.step if w else None  # once turned, it is one step's drive away
-        return v, w
+        distance, bearing = polar(pose, self.step)
+        if abs(bearing) > MAX_ANGULAR_VELOCITY * CONTROL_PERIOD / 2:
+            return turn_and_go(pose, self.step)
+        self.step = None  # the arc to a point turns by twice its bearing, and ends there
+        arc = distance / np.sinc(bearing / np.pi)
+        return min(arc / CONTROL_PERIOD, MAX_LINEAR_VELOCITY), 2 * bearing / CONTROL_PERIOD
 
     def next_step(self, pose, readings):
         """The point to turn and drive to, at most a stride away."""
-        dx, dy = np.subtract(self.goal, pose[:2])
-        distance, bearing = math.hypot(dx, dy), wrap_angle(math.atan2(dy, dx) - pose[2])
+        distance, bearing = polar(pose, self.goal)
         ahead = room_ahead(readings, bearing)
-        line = np.subtract(self.goal, self.start)
+        (dx, dy), line = np.subtract(self.goal, pose[:2]), np.subtract(self.goal, self.start)
         off_line = abs(line[0] * dy - line[1] * dx) / max(math.hypot(*line), 1e-9)
         if self.hit and off_line < STRIDE and ahead > STRIDE and distance < self.hit - STRIDE:
             self.hit = None
@@ -290,7 +297,7 @@ class Braitenberg(Planner):
     senses = True
 
     def act(self, pose, readings):
-        bearing = wrap_angle(math.atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
+        bearing = polar(pose, self.goal)[1]
         near = np.clip(1 - (readings - ROBOT_RADIUS) / 0.4, 0, 1) * np.maximum(np.cos(ANGLES), 0)
         left, right = near[ANGLES > 0].sum(), near[ANGLES < 0].sum()
         turn = np.clip(1.5 * bearing + 0.8 * (right - left), -1, 1)
