@@ -8,22 +8,29 @@ import math
 import pickle
 import sys
 import warnings
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from command_line import CommandLine, option
 from model import Network
 from navbot_min import MAX_COMMAND, OUTCOMES, NavVecEnv
 from pictures import draw_floor, draw_trajectories, write_episode
 from planners import ANGLES, PLANNERS, RANGE, visibility_graph
+from render import CUBE_SIZE
+from runs import write
 from scene_file import load_scene, parse_scene
 from sim import CONTROL_PERIOD, ROBOT_RADIUS, SceneError
 
 EPISODES_PER_ROBOT = 8  # at most; the robots of all targets drive side by side
+PROTOCOLS = ("paper", "perturbed", "anywhere", "validation")
+KINDS = {"training": "all training targets", "new": "all new targets",
+         "validation": "validation targets", "anywhere": "any free target"}
+PATCH = 0.25  # [m] of floor.png, and from one validation target to the next
 HIDDEN = ("", "place", "cube", "both")  # what a policy may not be shown of its target
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
 
@@ -37,11 +44,27 @@ def wilson(successes, n):
     return max(0.0, (centre - spread) / (1 + z2 / n)), min(1.0, (centre + spread) / (1 + z2 / n))
 
 
+def validation_scene(scene):
+    """The scene to tune on, so that its new targets stay an exam. In their place it has the points
+    of a grid that can be driven to, 0.5 m or more from the start and from each new target. Raises
+    SceneError where there is none."""
+    columns, rows = (np.ptp(scene.bounds, axis=0) / PATCH).astype(int)
+    grid = scene.bounds[0] + PATCH * np.argwhere(np.ones((columns, rows)))
+    to_free, to_training, to_others = (np.hypot(*(grid[:, None] - points).T).min(0) for points in (
+        scene.reachable, np.array(scene.training_targets), [scene.start[:2], *scene.new_targets]))
+    spots = grid[(to_free < 0.02) & (to_training >= CUBE_SIZE) & (to_others >= 0.5)]
+    if not len(spots):
+        raise SceneError(f"{scene.name} has no room for validation targets: none of a grid of "
+                         f"{PATCH} m is 0.5 m from the start and the new targets")
+    return replace(scene, new_targets=tuple(map(tuple, spots.tolist())))
+
+
 class Exam(NavVecEnv):
     """Episodes as a protocol asks for them: `paper`, the paper's start and heading; `perturbed`,
     the start moved by 5 cm and 10 degrees, one standard deviation each, drawn again until free;
-    `anywhere`, any reachable start and goal at least 1 m apart, at any heading. hidden: `place`,
-    the observed distance and bearing are 0; `cube`, the camera does not show the target; `both`."""
+    `anywhere`, any reachable start and goal at least 1 m apart (in a smaller room, as far as can
+    be), at any heading; `validation`, as `paper`, in the `validation_scene`. hidden: `place`, the
+    observed distance and bearing are 0; `cube`, the camera does not show the target; `both`."""
 
     def __init__(self, scene, targets, protocol, hidden=""):
         super().__init__(len(targets), scene, targets)
@@ -65,7 +88,8 @@ class Exam(NavVecEnv):
                 return target, goal, moved
         if self.protocol == "anywhere":
             goal = scene.reachable[rng.integers(len(scene.reachable))]
-            away = scene.reachable[np.hypot(*(scene.reachable - goal).T) >= 1]
+            distances = np.hypot(*(scene.reachable - goal).T)
+            away = scene.reachable[distances >= min(1, distances.max())]
             start = (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
         return target, goal, start
 
@@ -126,6 +150,7 @@ def rollouts(driver, scene, quotas, protocol="paper", seed=0, hidden=""):
     observations, infos = env.reset(seed=seed)
     paths, metres = [[pose] for pose in infos["pose"]], np.zeros(len(targets))
     driver.begin(env)
+    bar = tqdm(total=quota.sum(), unit=" episodes", leave=False, disable=None)
     while quota.any():
         actions = driver.act(env, observations)
         starts, goals = env.starts.copy(), env.goals.copy()
@@ -136,11 +161,13 @@ def rollouts(driver, scene, quotas, protocol="paper", seed=0, hidden=""):
         for r in np.flatnonzero(terminated | truncated):
             if quota[r]:
                 quota[r] -= 1
+                bar.update()
                 info = {key: value[r].item() for key, value in infos["final_info"].items()}
                 episodes.append(info | {"start": starts[r], "goal": goals[r], "metres": metres[r],
                                         "path": np.array(paths[r])})
             paths[r], metres[r] = [env.world.poses[r]], 0
             driver.end(env, r)
+    bar.close()
     return episodes
 
 
@@ -205,10 +232,10 @@ def evaluate(driver, scene, episodes=1000, protocol="paper", seed=0, actions="sa
               "new": None}
     if anywhere:
         return result | {"anywhere": summarise(scene, done), "targets": []}, done
-    for kind in ("training", "new"):
-        result[kind] = summarise(scene, [e for e in done if e["new"] == (kind == "new")])
-    result["targets"] = [{"x": float(x), "y": float(y),
-                          "kind": "training" if k < counts[0] else "new",
+    kinds = ("training", "validation" if protocol == "validation" else "new")
+    for kind, new in zip(kinds, (False, True)):
+        result[kind] = summarise(scene, [e for e in done if e["new"] is new])
+    result["targets"] = [{"x": float(x), "y": float(y), "kind": kinds[k >= counts[0]],
                           **summarise(scene, [e for e in done if e["target"] == k])}
                          for k, (x, y) in enumerate(scene.targets)]
     return result, done
@@ -216,10 +243,10 @@ def evaluate(driver, scene, episodes=1000, protocol="paper", seed=0, actions="sa
 
 def table(result):
     """An evaluation as lines of text: all targets of a kind, then a target a line."""
-    lines = []
-    for name, row in [(f"all {kind} targets", result[kind]) for kind in ("training", "new")
-                      if result[kind]] + [("any free target", result.get("anywhere"))] + [
-            (f"{t['kind']} ({t['x']}, {t['y']})", t) for t in result["targets"]]:
+    rows, lines = {name: result.get(kind) for kind, name in KINDS.items()}, []
+    for t in result["targets"] if result["protocol"] != "validation" else ():
+        rows[f"{t['kind']} ({t['x']}, {t['y']})"] = t
+    for name, row in rows.items():
         if row is None:
             continue
         time = f"{row['seconds_to_arrive']:.1f} s" if row["seconds_to_arrive"] else "-"
@@ -276,7 +303,7 @@ class Options:
     planner: str = option("", "a planner instead of a run", choices=["", *PLANNERS])
     env: str = option("", "carry the policy into another room: a scene's name or path")
     protocol: str = option("paper", "where episodes start and lead",
-                           choices=("paper", "perturbed", "anywhere"))
+                           choices=PROTOCOLS)
     hide: str = option("", "what the policy is not shown of its target: its place, its cube, both",
                        choices=HIDDEN)
     episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
@@ -296,11 +323,12 @@ def main(argv=None):
     if options.hide and options.planner:
         parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
                      "told their target's position")
-    actions = "sampled" if options.protocol == "paper" else "mean"
+    actions = "sampled" if options.protocol in ("paper", "validation") else "mean"
     try:
         model, scene = load_run(run) if run else (None, load_scene(options.env or "env1"))
         carried = bool(run and options.env)
         scene = load_scene(options.env) if carried else scene
+        tasks = validation_scene(scene) if options.protocol == "validation" else scene
         driver = (Policy(model, actions, options.seed) if run
                   else Planned(options.planner, scene, options.seed))
         name = options.planner or Path(run).stem
@@ -312,18 +340,22 @@ def main(argv=None):
         folder.mkdir(parents=True, exist_ok=True)
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
-    result, episodes = evaluate(driver, scene, options.episodes, options.protocol, options.seed,
-                                actions if run else options.planner, options.hide)
-    (folder / f"evaluation{suffix}.json").write_text(json.dumps(result, indent=2) + "\n")
-    draw_trajectories(scene, episodes).savefig(folder / f"trajectories{suffix}.png", dpi=110)
-    if options.protocol == "anywhere":
-        draw_floor(scene, episodes).savefig(folder / f"floor{suffix}.png", dpi=110)
-    frames = watch(driver, scene, len(scene.targets) - 1, options.seed, options.hide)
-    write_episode(scene, scene.targets[-1], frames, folder / f"episode{suffix}.gif")
-    if options.json:
-        print(json.dumps(result, indent=2))
-    else:
-        print(f"{name} in {scene.name}, protocol {options.protocol}, in {folder}\n" + table(result))
+    try:
+        result, episodes = evaluate(driver, tasks, options.episodes, options.protocol, options.seed,
+                                    actions if run else options.planner, options.hide)
+        write(folder / f"evaluation{suffix}.json", json.dumps(result, indent=2))
+        print(json.dumps(result, indent=2) if options.json else
+              f"{name} in {scene.name}, protocol {options.protocol}, in {folder}\n" + table(result))
+        pictures = {"trajectories": draw_trajectories(scene, episodes)}
+        if options.protocol in ("anywhere", "validation"):
+            pictures["floor"] = draw_floor(scene, episodes, PATCH)
+        for picture, figure in pictures.items():
+            write(folder / f"{picture}{suffix}.png", partial(figure.savefig, dpi=110))
+        frames = watch(driver, tasks, len(tasks.targets) - 1, options.seed, options.hide)
+        write(folder / f"episode{suffix}.gif",
+              partial(write_episode, scene, tasks.targets[-1], frames))
+    except KeyboardInterrupt:
+        sys.exit("interrupted: the files that are written are whole")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,16 @@ from sim import CONTROL_PERIOD, ROBOT_RADIUS
 SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
            "env2": {"training": 500, "new": 100}}
 PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
+WAYS = {"paper": ("one start pose", "#d62728"),  # to train, in `results.py`: name and colour
+        "varied": ("starts anywhere, and mirrored", "#12913a")}
 COLOURS = {"arrival": "#12913a", "collision": "#d62728", "timeout": "#e8a317"}
 MARKERS = {"arrival": ".", "collision": "x", "timeout": "s"}
+
+
+def read_table(path):
+    """The rows of a CSV file, as dicts of text; lines from # on are comments."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
 
 
 def draw_demo(scene, episodes):
@@ -43,9 +52,7 @@ def draw_curves(episodes, env, stop_rate):
 
     episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. Returns a Figure.
     """
-    with open(PAPER_CURVES, newline="") as file:
-        paper = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    figure = Figure(figsize=(11, 7), layout="constrained")
+    paper, figure = read_table(PAPER_CURVES), Figure(figsize=(11, 7), layout="constrained")
     panels = figure.subplots(2, 2, sharey="row")
     for column, (kind, colour) in enumerate((("training", "#1f4fd8"), ("new", "#12913a"))):
         theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
@@ -73,19 +80,73 @@ def draw_curves(episodes, env, stop_rate):
     return figure
 
 
+def draw_memorizing_reasoning(curves, seeds):
+    """Success on new targets against steps, both ways, every seed; dots: the frozen last policies.
+    curves, seeds: rows of `results/curves.csv` and `results/seeds.csv`. Returns a Figure."""
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    for axes, env in zip(figure.subplots(1, 2, sharey=True), SPACING):
+        for way, (name, colour) in WAYS.items():
+            for seed in "01234":
+                points = [(float(row["steps"]) / 1000, 100 * float(row["success"]))
+                          for row in curves if (row["env"], row["way"], row["seed"], row["kind"])
+                          == (env, way, seed, "new")]
+                axes.plot(*zip(*points), color=colour, lw=1.3, alpha=0.8,
+                          label=name if seed == "0" else None)
+            ends = [(float(row["steps"]) / 1000, 100 * float(row["new_success"])) for row in seeds
+                    if (row["env"], row["way"]) == (env, way)]
+            axes.plot(*zip(*ends), "o", color=colour, ms=5, clip_on=False, zorder=3)
+        axes.set(title=env, xlabel="steps [thousands]", ylim=(-2, 102))
+        axes.grid(alpha=0.3)
+    figure.axes[0].plot([], [], "o", color="black", ms=5, label="the last policy, frozen")
+    figure.axes[0].set_ylabel("new targets reached, last 100 episodes [%]")
+    figure.axes[0].legend(loc="center right")
+    return figure
+
+
+def draw_learning(curves, env):
+    """Fig. 4 (env1) or 5 (env2) over the five seeds, the paper's curves behind. curves: rows of
+    `results/curves.csv`. Returns a Figure."""
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    panels, paper = figure.subplots(2, 2, sharey="row", sharex="col"), read_table(PAPER_CURVES)
+    for column, kind in enumerate(("training", "new")):
+        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
+        for axes, key, its, scale in zip(panels[:, column], ("success", "return"),
+                                         ("success_last_100", "mean_return"), (100, 1)):
+            axes.plot([float(row["episodes"]) for row in theirs],
+                      [scale * float(row[its]) for row in theirs], color="#a0a0a0", lw=2,
+                      label="paper (released records)")
+            for way, (name, colour) in WAYS.items():
+                for seed in "01234":
+                    points = [(int(row["episodes"]), scale * float(row[key])) for row in curves if (
+                        row["env"], row["way"], row["seed"], row["kind"]) == (env, way, seed, kind)]
+                    axes.plot(*zip(*points), color=colour, lw=1, alpha=0.7,
+                              label=f"ours, {name}" if seed == "0" else None)
+            axes.set(xscale="log")
+            axes.grid(alpha=0.3)
+        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
+        panels[1, column].set_xlabel(f"episodes to {kind} targets")
+    panels[0, 0].set_ylabel("success rate, last 100 episodes [%]")
+    panels[1, 0].set_ylabel("average reward of an episode")
+    panels[0, 0].legend(loc="upper left", fontsize=9)
+    figure.suptitle(f"{env}: five seeds each way, and the paper's one")
+    return figure
+
+
 def draw_trajectories(scene, episodes, most=20):
     """Fig. 6: paths over the map, coloured by outcome, at most so many to each target, or four
-    times as many in all where targets are anywhere. Returns a Figure."""
+    times as many in all to other goals. Returns a Figure."""
     figure = Figure(figsize=(10, 5), layout="constrained")
-    axes, drawn, targets = figure.subplots(), {}, set(map(tuple, scene.targets))
+    axes, groups, targets = figure.subplots(), {}, set(map(tuple, scene.targets))
     draw_map(axes, scene)
     for e in episodes:
-        goal = tuple(e["goal"]) if tuple(e["goal"]) in targets else "anywhere"
-        drawn[goal] = drawn.get(goal, 0) + 1
-        if drawn[goal] <= (4 * most if goal == "anywhere" else most):
-            axes.plot(*e["path"][:, :2].T, color=COLOURS[e["outcome"]], lw=0.9, alpha=0.55)
-            axes.plot(*e["path"][-1, :2], color=COLOURS[e["outcome"]], ms=4,
-                      marker=MARKERS[e["outcome"]])
+        goal = tuple(e["goal"])
+        groups.setdefault(goal if goal in targets else None, []).append(e)
+    for goal, group in groups.items():  # evenly among all: the first ones to end are the short ones
+        count = min(len(group), most if goal else 4 * most)
+        for k in np.linspace(0, len(group) - 1, count).astype(int):
+            path, outcome = group[k]["path"], group[k]["outcome"]
+            axes.plot(*path[:, :2].T, color=COLOURS[outcome], lw=0.9, alpha=0.55)
+            axes.plot(*path[-1, :2], color=COLOURS[outcome], ms=4, marker=MARKERS[outcome])
     x, y, theta = scene.start
     axes.add_patch(Circle((x, y), ROBOT_RADIUS, fill=False, color="black", lw=1.5))
     axes.plot([x, x + ROBOT_RADIUS * math.cos(theta)], [y, y + ROBOT_RADIUS * math.sin(theta)],
@@ -98,21 +159,42 @@ def draw_trajectories(scene, episodes, most=20):
     return figure
 
 
-def draw_floor(scene, episodes, patch=0.25):
-    """The success rate of each patch [m] of the floor as a target. Returns a Figure."""
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes, (low, high) = figure.subplots(), scene.bounds
-    goals = np.array([e["goal"] for e in episodes])
-    edges = [np.arange(a, b + patch, patch) for a, b in zip(low, high)]
-    arrived = np.array([e["outcome"] == "arrival" for e in episodes])
-    tried, arrivals = (np.histogram2d(*goals.T, bins=edges, weights=weights)[0]
-                       for weights in (None, arrived))
+def paint_floor(axes, scene, goals, success, patch):
+    """Paints each patch of the floor, `patch` [m] wide, by the mean success (n,) of the goals
+    (n, 2) in it; a patch's centre lies on a grid from the room's corner. Returns the mesh."""
+    edges = [np.arange(a - patch / 2, b + patch, patch) for a, b in zip(*scene.bounds)]
+    tried, arrived = (np.histogram2d(*np.transpose(goals), bins=edges, weights=weights)[0]
+                      for weights in (None, success))
     with np.errstate(invalid="ignore"):
-        mesh = axes.pcolormesh(*edges, (arrivals / tried).T, cmap="viridis", vmin=0, vmax=1)
+        mesh = axes.pcolormesh(*edges, 100 * (arrived / tried).T, cmap="viridis", vmin=0, vmax=100)
     draw_map(axes, scene)
-    figure.colorbar(mesh, label="success rate", shrink=0.8)
-    axes.set_title(f"{scene.name}: success by where the target is, {len(episodes):,} episodes "
-                   "from anywhere")
+    return mesh
+
+
+def draw_floor(scene, episodes, patch):
+    """The success rate of each patch of the floor as a target. Returns a Figure."""
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.subplots()
+    mesh = paint_floor(axes, scene, [e["goal"] for e in episodes],
+                       [e["outcome"] == "arrival" for e in episodes], patch)
+    figure.colorbar(mesh, label="success rate [%]", shrink=0.8)
+    axes.set_title(f"{scene.name}: success by where the target is, {len(episodes):,} episodes")
+    return figure
+
+
+def draw_floors(rows, scenes, patch):
+    """Where robots arrive that were trained in two ways: rows of `results/floor.csv`, all seeds.
+    Returns a Figure."""
+    figure = Figure(figsize=(11, 6.4), layout="constrained")
+    panels = figure.subplots(2, len(scenes))
+    for (i, way), (k, scene) in product(enumerate(WAYS), enumerate(scenes)):
+        chosen = [row for row in rows if (row["env"], row["way"]) == (scene.name, way)]
+        success = [float(row["success"]) for row in chosen]
+        mesh = paint_floor(panels[i, k], scene, [(float(row["x"]), float(row["y"]))
+                                                for row in chosen], success, patch)
+        panels[i, k].plot(*scene.start[:2], "o", color="black", ms=9)
+        panels[i, k].set(title=f"{scene.name}, {WAYS[way][0]}", xlabel=None, ylabel=None)
+    figure.colorbar(mesh, ax=panels, label="episodes that arrive, five seeds [%]", shrink=0.7)
     return figure
 
 

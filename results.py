@@ -18,24 +18,23 @@ from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from command_line import CommandLine, option
-from evaluate import HIDDEN, Planned, Policy, evaluate, load_run, rollouts, summarise
-from pictures import PAPER_CURVES, draw_trajectories
+from evaluate import HIDDEN, PATCH, Planned, Policy, evaluate, load_run, rollouts, summarise
+from pictures import (draw_floors, draw_learning, draw_memorizing_reasoning, draw_trajectories,
+                      read_table)
 from planners import PLANNERS
 from scene_file import load_scene
 
 HERE = Path(__file__).parent
 RESULTS, RUNS = HERE / "results", Path("runs") / "results"
 BUDGET = {"env1": 250_000, "env2": 400_000}  # steps, new targets' included
-WAYS = {"varied": [], "paper": ["--random-starts", "0", "--mirrored", "0"]}  # five seeds of each
+WAYS = {"paper": ["--random-starts", "0", "--mirrored", "0"], "varied": []}  # five seeds of each
 ABLATIONS = {"single": ["--memory", "single"], "none": ["--memory", "none"],
              "blind": ["--without", "image"], "no-target": ["--without", "target"],
              "no-last": ["--without", "last"], "one-room": ["--mirrored", "0"]}  # three seeds each
 PAPER = {("env1", "new"): "81 %", ("env2", "new"): "69 %",  # "ultimate" success rates, paper IV-B
          ("env1", "training"): "> 75 %", ("env2", "training"): "62 %"}  # and the released record's
-COLOURS = {"paper": "#d62728", "varied": "#12913a"}
 
 
 @dataclass
@@ -75,19 +74,32 @@ def run(env, way, flags, seed):
     return row | {"mean_action_arrives": f"{sum(arrive)} of {len(arrive)}"}
 
 
-def hide(env, way, seed):
+def hide(env, way, _, seed):
     """Examines that run's policy with its target hidden, unless that is done; returns its rows of
     hidden.csv, one for each thing that is hidden."""
     rows, folder = [], RUNS / f"{env}-{way}-seed{seed}"
     for hidden in HIDDEN[1:]:
         result = folder / f"evaluation-hidden-{hidden}.json"
         if not result.exists():
-            call("evaluate.py", folder, "--hide", hidden, "--episodes", 500)
+            call("evaluate.py", folder, "--hide", hidden, "--episodes", 200)
         result = json.loads(result.read_text())
         rows.append({"env": env, "way": way, "seed": seed, "hidden": hidden} | {
             f"{kind}_{key}": round(result[kind][key], 4) for kind in ("training", "new")
             for key in ("n", "success", "low", "high", "collision", "timeout")})
     return rows
+
+
+def validate(env, way, _, seed):
+    """Examines that run's policy on validation targets, unless that is done; returns its rows of
+    floor.csv, one for each of them."""
+    folder = RUNS / f"{env}-{way}-seed{seed}"
+    result = folder / "evaluation-validation.json"
+    if not result.exists():
+        call("evaluate.py", folder, "--protocol", "validation", "--episodes", 300)
+    return [{"env": env, "way": way, "seed": seed} | {key: round(target[key], 4) for key in (
+        "x", "y", "n", "success", "collision", "timeout")}
+            for target in json.loads(result.read_text())["targets"]
+            if target["kind"] == "validation"]
 
 
 def curve(env, way, seed, every=50):
@@ -125,58 +137,6 @@ def write_table(name, rows):
         writer.writerows(rows)
 
 
-def read_table(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
-
-
-def draw_memorizing_reasoning(curves):
-    """Success on new targets against steps, both ways, every seed."""
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    for axes, env in zip(figure.subplots(1, 2, sharey=True), BUDGET):
-        for way, colour in COLOURS.items():
-            for seed in "01234":
-                points = [(float(row["steps"]) / 1000, 100 * float(row["success"]))
-                          for row in curves if (row["env"], row["way"], row["seed"], row["kind"])
-                          == (env, way, seed, "new")]
-                label = {"paper": "one start pose", "varied": "starts anywhere, and mirrored"}
-                axes.plot(*zip(*points), color=colour, lw=1.3, alpha=0.8,
-                          label=label[way] if seed == "0" else None)
-        axes.set(title=env, xlabel="steps [thousands]", ylim=(-2, 102))
-        axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("new targets reached, last 100 episodes [%]")
-    figure.axes[0].legend(loc="center right")
-    return figure
-
-
-def draw_learning(curves, env):
-    """Fig. 4 (env1) or 5 (env2) over the five seeds, the paper's curves behind."""
-    figure = Figure(figsize=(11, 7), layout="constrained")
-    panels, paper = figure.subplots(2, 2, sharey="row", sharex="col"), read_table(PAPER_CURVES)
-    for column, kind in enumerate(("training", "new")):
-        theirs = [row for row in paper if (row["env"], row["targets"]) == (env, kind)]
-        for axes, key, its, scale in zip(panels[:, column], ("success", "return"),
-                                         ("success_last_100", "mean_return"), (100, 1)):
-            axes.plot([float(row["episodes"]) for row in theirs],
-                      [scale * float(row[its]) for row in theirs], color="#a0a0a0", lw=2,
-                      label="paper (released records)")
-            for way, colour in COLOURS.items():
-                for seed in "01234":
-                    points = [(int(row["episodes"]), scale * float(row[key])) for row in curves if (
-                        row["env"], row["way"], row["seed"], row["kind"]) == (env, way, seed, kind)]
-                    axes.plot(*zip(*points), color=colour, lw=1, alpha=0.7,
-                              label=f"ours, {way}, five seeds" if seed == "0" else None)
-            axes.set(xscale="log")
-            axes.grid(alpha=0.3)
-        panels[0, column].set(title=f"{kind} targets", ylim=(-2, 102))
-        panels[1, column].set_xlabel(f"episodes to {kind} targets")
-    panels[0, 0].set_ylabel("success rate, last 100 episodes [%]")
-    panels[1, 0].set_ylabel("average reward of an episode")
-    panels[0, 0].legend(loc="upper left", fontsize=9)
-    figure.suptitle(f"{env}: five seeds each way, and the paper's one")
-    return figure
-
-
 def draw_paths(env):
     """Fig. 6: the paths of seed 0's policy, 20 episodes to each target."""
     model, scene = load_run(HERE / "pretrained" / f"{env}.pt")
@@ -184,20 +144,24 @@ def draw_paths(env):
     return draw_trajectories(scene, episodes)
 
 
-def summary_markdown(rows, others):
+def summary_markdown(rows, others, floor):
     """The README's first table: the paper's numbers, and the mean and the worst of our five seeds,
-    twice: here, and the same on another machine."""
+    twice: here, and the same on another machine, which has no validation targets."""
     lines = ["| protocol `paper` unless said | paper, one run | " + " | ".join(
-        f"`{way}`, {where}" for way in COLOURS for where in ("mean (worst)", "other machine"))
+        f"`{way}`, {where}" for way in WAYS for where in ("mean (worst)", "other machine"))
         + " |", "|---" * 6 + "|"]
+    spots = [{"env": env, "way": way, "validation_success": np.mean([
+        float(row["success"]) for row in floor
+        if (row["env"], row["way"], row["seed"]) == (env, way, seed)])}
+        for env, way, seed in product(BUDGET, WAYS, "01234")]
     for kind, name in (("new", "new targets"), ("training", "training targets"),
-                       ("anywhere", "`anywhere`")):
+                       ("validation", "`validation`"), ("anywhere", "`anywhere`")):
         for env in BUDGET:
             cells = [f"{env}, {name}", PAPER.get((env, kind), "-")]
-            for way, table in product(COLOURS, (rows, others)):
+            for way, table in product(WAYS, (rows + spots, others)):
                 reached = [100 * float(row[f"{kind}_success"]) for row in table
-                           if (row["env"], row["way"]) == (env, way)]
-                cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} %)")
+                           if (row["env"], row["way"]) == (env, way) and f"{kind}_success" in row]
+                cells.append(f"{np.mean(reached):.1f} % ({min(reached):.1f} %)" if reached else "-")
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -247,17 +211,15 @@ def ablations_markdown(rows):
 
 
 def hidden_markdown(rows, seeds):
-    """The README's table of hidden targets: seed 0's policies, with 95 % intervals."""
-    lines = ["| targets | " + " | ".join(
-        f"{name} hidden" for name in ("nothing", *HIDDEN[1:])) + " |", "|---" * 5 + "|"]
+    """The README's table of hidden targets: each room, way and kind of target, seeds 0 to 4."""
+    lines = ["| room | way | targets | " + " | ".join(
+        f"{name} hidden" for name in ("nothing", *HIDDEN[1:])) + " |", "|---" * 7 + "|"]
     rows = [row | {"hidden": ""} for row in seeds] + rows
-    for env, kind in product(BUDGET, ("new", "training")):
-        cells = ["{:.1f} % [{:.1f}, {:.1f}]".format(*(100 * float(row[f"{kind}_{key}"])
-                                                      for key in ("success", "low", "high")))
-                 for hidden in HIDDEN for row in rows
-                 if (row["env"], row["way"], row["seed"], row["hidden"])
-                 == (env, "varied", "0", hidden)]
-        lines.append(f"| {env}, {kind} | " + " | ".join(cells) + " |")
+    for env, way, kind in product(BUDGET, WAYS, ("new", "training")):
+        cells = [", ".join(f"{100 * float(row[f'{kind}_success']):.0f}" for row in sorted(
+            rows, key=lambda row: row["seed"]) if (row["env"], row["way"], row["hidden"])
+            == (env, way, hidden)) for hidden in HIDDEN]
+        lines.append(f"| {env} | {way} | {kind} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -294,29 +256,35 @@ def main(argv=None):
         with ThreadPoolExecutor(options.jobs) as pool:
             try:
                 rows = list(pool.map(lambda task: run(*task), tasks))
-                hidden = list(pool.map(lambda env: hide(env, "varied", 0), BUDGET))
+                compared = [task for task in tasks if task[1] in WAYS]
+                hidden, floor = (list(chain(*pool.map(lambda task: examine_run(*task), compared)))
+                                 for examine_run in (hide, validate))
             except KeyboardInterrupt:
                 parser.error("interrupted: the runs under way are finished, no other is begun")
             except subprocess.CalledProcessError as error:
                 reason = error.stderr.decode().strip().splitlines()[-1]
                 parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
         write_table("seeds.csv", [row for row in rows if row["way"] in WAYS])
-        write_table("hidden.csv", list(chain(*hidden)))
+        write_table("hidden.csv", hidden)
+        write_table("floor.csv", floor)
         if options.ablations:
             write_table("ablations.csv", [row for row in rows if row["way"] in ABLATIONS])
-        write_table("curves.csv", [point for env, way, _, seed in tasks if way in WAYS
+        write_table("curves.csv", [point for env, way, _, seed in compared
                                    for point in curve(env, way, seed)])
         (HERE / "pretrained").mkdir(exist_ok=True)
         for env in BUDGET:  # seed 0's, whichever seed is the best
             run_folder = RUNS / f"{env}-varied-seed0"
             shutil.copy(run_folder / "model.pt", HERE / "pretrained" / f"{env}.pt")
-    curves = read_table(RESULTS / "curves.csv")
-    draw_memorizing_reasoning(curves).savefig(HERE / "pictures/memorizing-reasoning.png", dpi=110)
-    for env, number in (("env1", 4), ("env2", 5)):
-        draw_learning(curves, env).savefig(HERE / f"pictures/fig{number}.png", dpi=110)
-        draw_paths(env).savefig(HERE / f"pictures/fig6-{env}.png", dpi=110)
-    seeds = read_table(RESULTS / "seeds.csv")
-    print(summary_markdown(seeds, read_table(RESULTS / "other-machine.csv")), markdown(seeds),
+    curves, seeds = read_table(RESULTS / "curves.csv"), read_table(RESULTS / "seeds.csv")
+    floor = read_table(RESULTS / "floor.csv")
+    figures = {"memorizing-reasoning": draw_memorizing_reasoning(curves, seeds),
+               "fig4": draw_learning(curves, "env1"), "fig5": draw_learning(curves, "env2"),
+               "floor": draw_floors(floor, [load_scene(env) for env in BUDGET], PATCH),
+               **{f"fig6-{env}": draw_paths(env) for env in BUDGET}}
+    for name, figure in figures.items():
+        figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110)
+    print(summary_markdown(seeds, read_table(RESULTS / "other-machine.csv"), floor),
+          markdown(seeds),
           hidden_markdown(read_table(RESULTS / "hidden.csv"), seeds),
           ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")), sep="\n\n")
 

@@ -10,6 +10,13 @@ from pathlib import Path
 import torch
 
 
+def write(path, content):
+    """A whole file or none: text, or a function that writes to the path it is given."""
+    partial = path.with_name(f".{path.name}")
+    content(partial) if callable(content) else partial.write_text(content + "\n")
+    os.replace(partial, path)
+
+
 class RunFolder:
     """A new folder and the files in it."""
 
@@ -23,10 +30,8 @@ class RunFolder:
         self.write("config.json", json.dumps(config, indent=2))
 
     def write(self, name, content):
-        """A whole file: text, or a function that writes to the path it is given."""
-        partial = self.path / f".{name}"
-        content(partial) if callable(content) else partial.write_text(content + "\n")
-        os.replace(partial, self.path / name)
+        """A file of the run, by `write`."""
+        write(self.path / name, content)
 
     def add_row(self, name, row):
         """One more row, a dict, of a CSV table."""

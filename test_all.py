@@ -24,10 +24,12 @@ import benchmark
 import evaluate
 import model
 import navbot_min
+import pictures
 import planners
 import ppo
 import render
 import results
+import runs as run_folder
 import sim
 import train
 from scene_file import load_scene, parse_scene
@@ -826,6 +828,31 @@ def test_the_protocols_start_and_lead_where_they_say():
     assert away.min() >= 1 and (np.ptp(goals["anywhere"], axis=0) > (3, 1.5)).all()
 
 
+@pytest.mark.parametrize("scene, least", [(ENV1, 60), (ENV2, 60)])
+def test_validation_targets_can_be_reached_and_give_nothing_of_the_exam_away(scene, least):
+    spots = evaluate.validation_scene(scene).new_targets
+    assert len(spots) > least and scene.clearance(spots).min() > sim.ROBOT_RADIUS - 0.02
+    for spot in spots:
+        assert min(math.dist(spot, new) for new in scene.new_targets) >= 0.5
+        assert math.dist(spot, scene.start[:2]) >= 0.5
+        assert min(math.dist(spot, training) for training in scene.training_targets) >= 0.2
+        assert planners.visibility_graph(scene).path(scene.start[:2], spot)[1] < math.inf
+    result, done = evaluate.evaluate(evaluate.Planned("straight", scene, 0),
+                                     evaluate.validation_scene(scene), 1, "validation")
+    assert result["new"] is None and result["validation"]["n"] == len(spots)
+    assert {tuple(e["goal"]) for e in done} == {*spots, *scene.training_targets}
+
+
+def test_a_room_under_a_metre_has_an_anywhere_but_no_validation_targets():
+    tiny = parse_scene(square_room(0.5, training_targets=[[0.3, 0.0]],
+                                   new_targets=[[0.0, 0.3]]), "tiny")
+    exam = evaluate.Exam(tiny, [0] * 50, "anywhere")
+    exam.reset(seed=0)
+    assert np.hypot(*(exam.starts[:, :2] - exam.goals).T).min() > 0.3
+    with pytest.raises(sim.SceneError, match="tiny has no room for validation targets"):
+        evaluate.validation_scene(tiny)
+
+
 @pytest.mark.parametrize("hidden, place, cube", [
     ("", True, True), ("place", False, True), ("cube", True, False), ("both", False, False)])
 def test_what_is_hidden_of_a_target_is_not_observed_and_nothing_else_changes(hidden, place, cube):
@@ -913,6 +940,19 @@ def test_the_oracle_reaches_every_target_by_the_shortest_path(scene):
 def test_planners_with_a_map_or_making_one_reach_every_target_of_env1(name):
     result = evaluate.evaluate(evaluate.Planned(name, ENV1, 0), ENV1, 1)[0]
     assert all(target["success"] == 1 and target["spl"] > 0.7 for target in result["targets"])
+
+
+def test_bug_drives_an_arc_that_ends_at_its_next_point():
+    room = parse_scene(square_room(), "room")
+    world, bug = sim.World([room]), planners.Bug(room, None)
+    for bearing in np.linspace(-0.19, 0.19, 9):
+        pose = np.array([0.2, -0.1, 2.5])
+        bug.begin(pose, (1.0, 1.0))
+        bug.step = pose[:2] + 0.11 * np.array([math.cos(2.5 + bearing), math.sin(2.5 + bearing)])
+        point = bug.step
+        world.place([0], [pose])
+        world.drive([bug.act(pose, None)])
+        assert world.poses[0, :2] == pytest.approx(point, abs=1e-3) and bug.step is None
 
 
 @pytest.mark.parametrize("name, empty, blocked", [
@@ -1070,15 +1110,36 @@ def test_the_results_table_has_every_seed_worst_first_and_their_mean():
         ("**mean**", "50.0", "60.0")]
 
 
-def test_the_table_of_hidden_targets_is_that_of_seed_0():
+def test_the_table_of_hidden_targets_has_every_seed_in_order():
     rows = [{"env": env, "way": way, "seed": seed, "hidden": hidden} | {
-        f"{kind}_{key}": evaluate.HIDDEN.index(hidden) / 10 if (way, seed) == ("varied", "0") else 1
-        for kind in ("new", "training") for key in ("success", "low", "high")}
-            for env in results.BUDGET for way in results.WAYS for seed in "012"
-            for hidden in evaluate.HIDDEN]
+        f"{kind}_success": (10 * k + int(seed)) / 100 for kind in ("new", "training")}
+            for env in results.BUDGET for way in results.WAYS for seed in "20143"
+            for k, hidden in enumerate(evaluate.HIDDEN)]
     table = results.hidden_markdown([row for row in rows if row["hidden"]],
-                                    [row for row in rows if not row["hidden"]])
-    assert re.findall(r"(\d+)\.0 % \[\1\.0, \1\.0\]", table) == 4 * ["0", "10", "20", "30"]
+                                    [row for row in rows if not row["hidden"]]).splitlines()
+    assert len(table) == 2 + 8
+    for line in table[2:]:
+        assert re.findall(r"\d+", line.split("|", 3)[3]) == [str(n) for n in (
+            *range(0, 5), *range(10, 15), *range(20, 25), *range(30, 35))]
+
+
+def test_paths_are_drawn_evenly_not_those_that_ended_first():
+    episodes = [{"goal": ENV1.targets[2], "outcome": "arrival",
+                 "path": np.tile((-1.0, -3.0, 0.0), (k + 2, 1))} for k in range(100)]
+    lines = pictures.draw_trajectories(ENV1, episodes, most=20).axes[0].lines
+    drawn = {len(line.get_xdata()) for line in lines if len(line.get_xdata()) > 2}
+    assert max(drawn) == 101 and 15 < len(drawn) <= 20 and max(np.diff(sorted(drawn))) < 8
+
+
+def test_a_file_that_fails_while_it_is_written_leaves_the_old_one(tmp_path):
+    run_folder.write(tmp_path / "a.txt", "old")
+
+    def fail(path):
+        path.write_text("half")
+        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        run_folder.write(tmp_path / "a.txt", fail)
+    assert (tmp_path / "a.txt").read_text() == "old\n"
 
 
 def test_a_curves_points_are_means_over_the_last_100_episodes_of_a_kind(tmp_path, monkeypatch):
