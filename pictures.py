@@ -16,8 +16,8 @@ from sim import CONTROL_PERIOD, ROBOT_RADIUS
 SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
            "env2": {"training": 500, "new": 100}}
 PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
-WAYS = {"paper": ("one start pose", "#d62728"),  # to train, in `results.py`: name and colour
-        "varied": ("starts anywhere, and mirrored", "#12913a")}
+WAY_STYLES = {"paper": ("one start pose", "#d62728"),  # of the ways to train in `results.py`
+              "varied": ("starts anywhere, and mirrored", "#12913a")}
 COLOURS = {"arrival": "#12913a", "collision": "#d62728", "timeout": "#e8a317"}
 MARKERS = {"arrival": ".", "collision": "x", "timeout": "s"}
 
@@ -85,7 +85,7 @@ def draw_memorizing_reasoning(curves, seeds):
     curves, seeds: rows of `results/curves.csv` and `results/seeds.csv`. Returns a Figure."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     for axes, env in zip(figure.subplots(1, 2, sharey=True), SPACING):
-        for way, (name, colour) in WAYS.items():
+        for way, (name, colour) in WAY_STYLES.items():
             for seed in "01234":
                 points = [(float(row["steps"]) / 1000, 100 * float(row["success"]))
                           for row in curves if (row["env"], row["way"], row["seed"], row["kind"])
@@ -115,7 +115,7 @@ def draw_learning(curves, env):
             axes.plot([float(row["episodes"]) for row in theirs],
                       [scale * float(row[its]) for row in theirs], color="#a0a0a0", lw=2,
                       label="paper (released records)")
-            for way, (name, colour) in WAYS.items():
+            for way, (name, colour) in WAY_STYLES.items():
                 for seed in "01234":
                     points = [(int(row["episodes"]), scale * float(row[key])) for row in curves if (
                         row["env"], row["way"], row["seed"], row["kind"]) == (env, way, seed, kind)]
@@ -127,7 +127,7 @@ def draw_learning(curves, env):
         panels[1, column].set_xlabel(f"episodes to {kind} targets")
     panels[0, 0].set_ylabel("success rate, last 100 episodes [%]")
     panels[1, 0].set_ylabel("average reward of an episode")
-    panels[0, 0].legend(loc="upper left", fontsize=9)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     figure.suptitle(f"{env}: five seeds each way, and the paper's one")
     return figure
 
@@ -187,13 +187,13 @@ def draw_floors(rows, scenes, patch):
     Returns a Figure."""
     figure = Figure(figsize=(11, 6.4), layout="constrained")
     panels = figure.subplots(2, len(scenes))
-    for (i, way), (k, scene) in product(enumerate(WAYS), enumerate(scenes)):
+    for (i, way), (k, scene) in product(enumerate(WAY_STYLES), enumerate(scenes)):
         chosen = [row for row in rows if (row["env"], row["way"]) == (scene.name, way)]
         success = [float(row["success"]) for row in chosen]
         mesh = paint_floor(panels[i, k], scene, [(float(row["x"]), float(row["y"]))
                                                 for row in chosen], success, patch)
         panels[i, k].plot(*scene.start[:2], "o", color="black", ms=9)
-        panels[i, k].set(title=f"{scene.name}, {WAYS[way][0]}", xlabel=None, ylabel=None)
+        panels[i, k].set(title=f"{scene.name}, {WAY_STYLES[way][0]}", xlabel=None, ylabel=None)
     figure.colorbar(mesh, ax=panels, label="episodes that arrive, five seeds [%]", shrink=0.7)
     return figure
 

@@ -53,13 +53,13 @@ def call(script, *arguments):
                    start_new_session=True)
 
 
-def run(env, way, flags, seed):
+def run(env, way, seed):
     """Trains and examines one run, unless that is done; returns its row of the table."""
     folder = RUNS / f"{env}-{way}-seed{seed}"
     if not (folder / "evaluation-anywhere.json").exists():
         shutil.rmtree(folder, ignore_errors=True)
         call("train.py", "--env", env, "--seed", seed, "--fixed-budget", "--steps", BUDGET[env],
-             *flags, "--out", folder)
+             *(WAYS | ABLATIONS)[way], "--out", folder)
         call("evaluate.py", folder, "--protocol", "anywhere", "--episodes", 500)
         print(f"{folder} done", flush=True)
     summary = json.loads((folder / "summary.json").read_text())
@@ -74,7 +74,7 @@ def run(env, way, flags, seed):
     return row | {"mean_action_arrives": f"{sum(arrive)} of {len(arrive)}"}
 
 
-def hide(env, way, _, seed):
+def hide(env, way, seed):
     """Examines that run's policy with its target hidden, unless that is done; returns its rows of
     hidden.csv, one for each thing that is hidden."""
     rows, folder = [], RUNS / f"{env}-{way}-seed{seed}"
@@ -89,7 +89,7 @@ def hide(env, way, _, seed):
     return rows
 
 
-def validate(env, way, _, seed):
+def validate(env, way, seed):
     """Examines that run's policy on validation targets, unless that is done; returns its rows of
     floor.csv, one for each of them."""
     folder = RUNS / f"{env}-{way}-seed{seed}"
@@ -239,6 +239,39 @@ def planners_markdown(rows):
     return "\n".join(lines)
 
 
+def train_all(jobs, ablations):
+    """Trains and examines every run, so many at a time, and writes the tables and the weights."""
+    tasks = [(env, way, seed) for way in WAYS for seed in range(5) for env in BUDGET]
+    more = [(env, way, seed) for env in BUDGET for seed in range(3) for way in ABLATIONS]
+    with ThreadPoolExecutor(jobs) as pool:
+        tables = {"seeds.csv": list(pool.map(run, *zip(*tasks))),
+                  "hidden.csv": chain(*pool.map(hide, *zip(*tasks))),
+                  "floor.csv": chain(*pool.map(validate, *zip(*tasks))),
+                  "curves.csv": chain(*(curve(*task) for task in tasks))}
+        if ablations:
+            tables["ablations.csv"] = pool.map(run, *zip(*more))
+        for name, rows in tables.items():
+            write_table(name, list(rows))
+    (HERE / "pretrained").mkdir(exist_ok=True)
+    for env in BUDGET:  # seed 0's, whichever seed is the best
+        shutil.copy(RUNS / f"{env}-varied-seed0" / "model.pt", HERE / "pretrained" / f"{env}.pt")
+
+
+def draw_all():
+    """Draws the figures from the tables, and prints the README's tables."""
+    seeds, curves, floor, hidden, ablations, others = (
+        read_table(RESULTS / f"{name}.csv")
+        for name in ("seeds", "curves", "floor", "hidden", "ablations", "other-machine"))
+    figures = {"memorizing-reasoning": draw_memorizing_reasoning(curves, seeds),
+               "fig4": draw_learning(curves, "env1"), "fig5": draw_learning(curves, "env2"),
+               "floor": draw_floors(floor, [load_scene(env) for env in BUDGET], PATCH),
+               **{f"fig6-{env}": draw_paths(env) for env in BUDGET}}
+    for name, figure in figures.items():
+        figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110)
+    print(summary_markdown(seeds, others, floor), markdown(seeds), hidden_markdown(hidden, seeds),
+          ablations_markdown(seeds + ablations), sep="\n\n")
+
+
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Make every table and figure of the results.")
@@ -247,46 +280,15 @@ def main(argv=None):
         rows = [examine(env, name) for name in PLANNERS for env in BUDGET]
         write_table("planners.csv", rows)
         return print(planners_markdown(rows))
-    if not options.draw:
-        tasks = [(env, way, flags, seed) for way, flags in WAYS.items() for seed in range(5)
-                 for env in BUDGET]
-        if options.ablations:
-            tasks += [(env, way, flags, seed) for env in BUDGET for seed in range(3)
-                      for way, flags in ABLATIONS.items()]
-        with ThreadPoolExecutor(options.jobs) as pool:
-            try:
-                rows = list(pool.map(lambda task: run(*task), tasks))
-                compared = [task for task in tasks if task[1] in WAYS]
-                hidden, floor = (list(chain(*pool.map(lambda task: examine_run(*task), compared)))
-                                 for examine_run in (hide, validate))
-            except KeyboardInterrupt:
-                parser.error("interrupted: the runs under way are finished, no other is begun")
-            except subprocess.CalledProcessError as error:
-                reason = error.stderr.decode().strip().splitlines()[-1]
-                parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
-        write_table("seeds.csv", [row for row in rows if row["way"] in WAYS])
-        write_table("hidden.csv", hidden)
-        write_table("floor.csv", floor)
-        if options.ablations:
-            write_table("ablations.csv", [row for row in rows if row["way"] in ABLATIONS])
-        write_table("curves.csv", [point for env, way, _, seed in compared
-                                   for point in curve(env, way, seed)])
-        (HERE / "pretrained").mkdir(exist_ok=True)
-        for env in BUDGET:  # seed 0's, whichever seed is the best
-            run_folder = RUNS / f"{env}-varied-seed0"
-            shutil.copy(run_folder / "model.pt", HERE / "pretrained" / f"{env}.pt")
-    curves, seeds = read_table(RESULTS / "curves.csv"), read_table(RESULTS / "seeds.csv")
-    floor = read_table(RESULTS / "floor.csv")
-    figures = {"memorizing-reasoning": draw_memorizing_reasoning(curves, seeds),
-               "fig4": draw_learning(curves, "env1"), "fig5": draw_learning(curves, "env2"),
-               "floor": draw_floors(floor, [load_scene(env) for env in BUDGET], PATCH),
-               **{f"fig6-{env}": draw_paths(env) for env in BUDGET}}
-    for name, figure in figures.items():
-        figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110)
-    print(summary_markdown(seeds, read_table(RESULTS / "other-machine.csv"), floor),
-          markdown(seeds),
-          hidden_markdown(read_table(RESULTS / "hidden.csv"), seeds),
-          ablations_markdown(seeds + read_table(RESULTS / "ablations.csv")), sep="\n\n")
+    try:
+        if not options.draw:
+            train_all(options.jobs, options.ablations)
+        draw_all()
+    except KeyboardInterrupt:
+        parser.error("interrupted: the runs under way are finished, no other is begun")
+    except subprocess.CalledProcessError as error:
+        reason = error.stderr.decode().strip().splitlines()[-1]
+        parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
 
 
 if __name__ == "__main__":
