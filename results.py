@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from command_line import CommandLine, option
-from evaluate import HIDDEN, PATCH, Planned, Policy, evaluate, load_run, rollouts, summarise
+from evaluate import HIDDEN, PATCH, Planned, Policy, evaluate, load_run, rollouts, summarise, watch
 from pictures import (draw_floors, draw_learning, draw_memorizing_reasoning, draw_trajectories,
-                      read_table)
+                      read_table, write_episode)
 from planners import PLANNERS
 from scene_file import load_scene
 
@@ -142,6 +142,13 @@ def draw_paths(env):
     model, scene = load_run(HERE / "pretrained" / f"{env}.pt")
     episodes = rollouts(Policy(model, "sampled", 0), scene, [20] * len(scene.targets))
     return draw_trajectories(scene, episodes)
+
+
+def film(env):
+    """The README's film: an episode of seed 0's policy to the last of the new targets."""
+    model, scene = load_run(HERE / "pretrained" / f"{env}.pt")
+    frames = watch(Policy(model, "sampled", 0), scene, len(scene.targets) - 1)
+    write_episode(scene, scene.targets[-1], frames, HERE / "pictures" / "episode.gif")
 
 
 def summary_markdown(rows, others, floor):
@@ -268,6 +275,7 @@ def draw_all():
                **{f"fig6-{env}": draw_paths(env) for env in BUDGET}}
     for name, figure in figures.items():
         figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110)
+    film("env1")
     print(summary_markdown(seeds, others, floor), markdown(seeds), hidden_markdown(hidden, seeds),
           ablations_markdown(seeds + ablations), sep="\n\n")
 
