@@ -230,8 +230,9 @@ def hidden_markdown(rows, seeds):
     return "\n".join(lines)
 
 
-def planners_markdown(rows):
-    """The README's table of the planners."""
+def planners_markdown(rows, seeds):
+    """The README's table of the planners, and of the learner beside them: `varied`, mean actions,
+    the worst or the mean of the seeds."""
     lines = ["| planner | env1, targets reached | env2, targets reached | env1, anywhere, SPL "
              "| env2, anywhere, SPL |", "|---" * 5 + "|"]
     for name in PLANNERS:
@@ -243,7 +244,16 @@ def planners_markdown(rows):
                 *(100 * float(row[f"anywhere_{key}"]) for key in ("success", "low", "high")),
                 float(row["anywhere_spl"])))
         lines.append(f"| {name} | " + " | ".join(paper + anywhere) + " |")
-    return "\n".join(lines)
+    learner = [[row for row in seeds if (row["env"], row["way"]) == (env, "varied")]
+               for env in BUDGET]
+    paper = [min((row["mean_action_arrives"] for row in chosen), key=lambda text: int(
+        text.split()[0])) for chosen in learner]
+    for chosen in learner:
+        success, spl = ([float(row[f"anywhere_{key}"]) for row in chosen]
+                        for key in ("success", "spl"))
+        paper.append("{:.1f} % (seeds {:.1f} to {:.1f}), {:.2f}".format(
+            *(100 * f(success) for f in (np.mean, min, max)), np.mean(spl)))
+    return "\n".join([*lines, "| **learner** | " + " | ".join(paper) + " |"])
 
 
 def train_all(jobs, ablations):
@@ -287,7 +297,7 @@ def main(argv=None):
     if options.planners:
         rows = [examine(env, name) for name in PLANNERS for env in BUDGET]
         write_table("planners.csv", rows)
-        return print(planners_markdown(rows))
+        return print(planners_markdown(rows, read_table(RESULTS / "seeds.csv")))
     try:
         if not options.draw:
             train_all(options.jobs, options.ablations)
