@@ -1110,6 +1110,19 @@ def test_the_results_table_has_every_seed_worst_first_and_their_mean():
         ("**mean**", "50.0", "60.0")]
 
 
+def test_the_table_of_ablations_has_seeds_0_to_2_worst_first_their_mean_and_both_machines():
+    rows = [{"env": env, "way": "none", "seed": str(seed)} | {
+        f"{kind}_success": success for kind in ("new", "training", "anywhere")}
+            for env in results.BUDGET for seed, success in enumerate((0.5, 0.2, 0.8, 0.9))]
+    tables = (rows, [row | {"new_success": 0.3} for row in rows if row["env"] == "env1"])
+    lines = [line for line in results.ablations_markdown(*tables).splitlines() if "none" in line]
+    mean = "**50.0**"
+    each = f"20, 50, 80: {mean}"
+    assert lines == [
+        f"| env1 | none | {each} | 30, 30, 30: **30.0** | {mean} | {mean} | {each} | {each} |",
+        f"| env2 | none | {each} | - | {mean} | - | {each} | - |"]
+
+
 def test_the_table_of_hidden_targets_has_every_seed_in_order():
     rows = [{"env": env, "way": way, "seed": seed, "hidden": hidden} | {
         f"{kind}_success": (10 * k + int(seed)) / 100 for kind in ("new", "training")}
@@ -1222,7 +1235,7 @@ def test_imports_are_those_of_the_readmes_table():
 def test_the_readmes_files_and_commands_exist():
     text = (ROOT / "README.md").read_text()
     made = {"curves.png", "demo.png", "episodes.csv", "updates.csv", "evaluation.json",
-            "trajectories.png", "floor.png"}  # by the commands
+            "trajectories.png", "floor.png", "floor-validation.png"}  # by the commands
     for name in re.findall(r"`([\w./-]+\.(?:py|toml|csv|json|png|txt|md))`|\]\(([\w./]+)\)", text):
         assert (ROOT / "".join(name)).exists() or "".join(name) in made, name
     for script, flags in re.findall(r"python (\w+\.py)((?: --?[\w-]+(?: [\w./]+)?)*)", text):
