@@ -5,6 +5,7 @@ leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.pn
 summary.json.
 """
 
+import atexit
 import json
 import os
 import sys
@@ -182,6 +183,7 @@ def main(argv=None):
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
     if PROCESSES > 1:
         distributed.init_process_group()
+        atexit.register(distributed.destroy_process_group)  # else its threads may abort the exit
     try:
         scene = load_scene(config.env)
         if RANK > 0:
