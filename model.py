@@ -3,8 +3,8 @@
 It maps what the robot has seen so far to a distribution over actions, Eq. (1), in the action units
 of the task: linear velocity in [0, 1], angular in [-1, 1].
 
-Axis letters: M sequences, T steps, B = real (not padded) steps, H = 48, W = 64. While robots drive,
-T = 1 and M is their number.
+Axis letters: M rows of sequences, T steps, B real steps (those that are no padding), H = 48 and
+W = 64 image rows and columns. While robots drive, T = 1 and M is their number.
 """
 
 import torch
@@ -15,11 +15,15 @@ MEMORIES = ("stacked", "single", "none")  # ablations of the paper
 BLANKS = ("", "image", "target", "last")  # inputs that can be blanked, ours
 HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
+TARGET = 2  # distance and bearing
+LAST = 3  # a_{t-1}: last velocity (2) and last reward (1), paper III-B
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
+MAX_COMMAND = (0.3, 1.0)  # [m/s, rad/s] paper III-C
 SHUT = -1e4  # a gate's input at which the gate is 0 whatever else comes in
 INITIAL_STD = (0.25, 0.5)  # a quarter of the linear and half of the angular maximum, our choice
+RELU_GAIN = 2 ** 0.5  # of orthogonal weights before a ReLU
 
 
 def orthogonal(layer, gain=1.0):
@@ -32,29 +36,54 @@ def orthogonal(layer, gain=1.0):
     return layer
 
 
+def make_cnn():
+    """The CNN of Fig. 2: (B, 3, H, W) colours -> (B, FEATURES).
+
+    Kernels are (height, width), padding makes the sizes those of Fig. 2. Where that asks for a
+    single row it is the upper one: the lower one of the two that are given is never read.
+    """
+    cnn = nn.Sequential(
+        orthogonal(nn.Conv2d(3, 32, (6, 8), stride=4, padding=(1, 2)), RELU_GAIN),  # (32, 12, 16)
+        nn.ReLU(inplace=True),
+        orthogonal(nn.Conv2d(32, 64, (3, 4), stride=2, padding=1), RELU_GAIN),  # (64, 6, 8)
+        nn.ReLU(inplace=True),
+        nn.MaxPool2d(2),  # (64, 3, 4)
+        orthogonal(nn.Conv2d(64, 64, 2, stride=2, padding=(1, 0)), RELU_GAIN),  # (64, 2, 2)
+        nn.ReLU(inplace=True),
+        nn.Flatten(),  # (256,)
+        orthogonal(nn.Linear(64 * 2 * 2, FEATURES), RELU_GAIN),  # (FEATURES,)
+        nn.ReLU(inplace=True))
+    return cnn.to(memory_format=torch.channels_last)
+
+
 class Memory(nn.Module):
     """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything.
 
     The LSTM has one input more, 1 at steps that are no steps of an episode. It shuts all gates for
     good: the memory is zero after such a step, and no gradient passes. So episodes can lie end to
-    end in one sequence, a step apart, and none knows of the one before it.
+    end in one row, a step apart, and none knows of the one before it. torch's packed sequences cost
+    1.0 to 2.2 times as much a minibatch, and plain padding 1.0 to 1.8 times (docs/code.md).
     """
 
     def __init__(self, inputs, recurrent):
         super().__init__()
         self.recurrent = recurrent
-        self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN, batch_first=True) if recurrent
-                                else nn.Linear(inputs, HIDDEN))
-        if recurrent:  # torch's order: input gate, forget gate, candidate, output gate
-            column = self.layer.weight_ih_l0.detach()[:, -1]
-            column.view(4, HIDDEN)[:] = torch.tensor([SHUT, SHUT, 0, SHUT])[:, None]
+        if recurrent:
+            self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN, batch_first=True))
+            # Rows of the weights, torch's order: input gate, forget gate, candidate, output gate.
+            clearing = self.layer.weight_ih_l0.detach()[:, -1].view(4, HIDDEN)
+            clearing[:] = torch.tensor([SHUT, SHUT, 0, SHUT])[:, None]
+        else:
+            self.layer = orthogonal(nn.Linear(inputs, HIDDEN))
 
-    def forward(self, x, state, real):
-        """(M, T, inputs), state (M, 2, HIDDEN), real (M, T) bool -> (M, T, HIDDEN), state."""
+    def forward(self, x, state, mask):
+        """x (M, T, inputs), state (M, 2, HIDDEN), mask (M, T) bool, false at steps that are no
+        steps of an episode -> (M, T, HIDDEN), state."""
         if not self.recurrent:
             return torch.relu(self.layer(x)), state
-        x = torch.cat([x, ~real[..., None]], -1)
-        h, c = state.transpose(0, 1).unsqueeze(1).contiguous()  # (1, M, HIDDEN) each
+        clear = ~mask[..., None]
+        x = torch.cat([x, clear], -1)
+        h, c = state.transpose(0, 1).unsqueeze(1).contiguous()  # (1, M, HIDDEN) each, as torch asks
         y, (h, c) = self.layer(x, (h, c))
         return y, torch.cat([h, c]).transpose(0, 1)
 
@@ -63,30 +92,29 @@ class Network(nn.Module):
     """Policy and value. `memory` is the paper's stacked LSTM or one of its ablations: in `single`
     all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
 
-    def __init__(self, memory="stacked", without="", command_scale=(0.3, 1.0)):
+    def __init__(self, memory="stacked", without="", command_scale=MAX_COMMAND):
         """without: an input that is blanked, "image", "target" (where it is; the camera still shows
         it) or "last" (last velocity and reward).
-        command_scale: maximum linear [m/s] and angular [rad/s] velocity, paper III-C."""
+        command_scale: maximum linear [m/s] and angular [rad/s] velocity.
+        Weights are drawn from torch's global generator; `make_network` draws them from a seed.
+        Raises ValueError.
+        """
         super().__init__()
         if memory not in MEMORIES:
             raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
-        self.memory, self.without = memory, without
-        # Kernels are (height, width), padding makes the sizes those of Fig. 2. Where that asks for
-        # a single row it is the upper one: the lower one of the two that are given is never read.
-        relu = 2 ** 0.5
-        self.cnn = nn.Sequential(
-            orthogonal(nn.Conv2d(3, 32, (6, 8), 4, padding=(1, 2)), relu), nn.ReLU(inplace=True),
-            orthogonal(nn.Conv2d(32, 64, (3, 4), 2, padding=1), relu), nn.ReLU(inplace=True),
-            nn.MaxPool2d(2),
-            orthogonal(nn.Conv2d(64, 64, 2, 2, padding=(1, 0)), relu), nn.ReLU(inplace=True),
-            nn.Flatten(), orthogonal(nn.Linear(256, FEATURES), relu), nn.ReLU(inplace=True))
-        self.cnn.to(memory_format=torch.channels_last)
-        first = FEATURES + 2 + (3 if memory == "single" else 0)
-        self.memories = nn.ModuleList([Memory(first, memory != "none")])
-        if memory != "single":
-            self.memories.append(Memory(HIDDEN + 3, memory != "none"))
-        self.dense = orthogonal(nn.Linear(HIDDEN, HIDDEN), relu)
-        self.action = orthogonal(nn.Linear(HIDDEN, 2), 0.01)
+        if without not in BLANKS:
+            raise ValueError(f"without is {without!r}, it must be one of {', '.join(BLANKS[1:])}")
+        self.memory = memory
+        self.without = without
+        recurrent = memory != "none"
+        self.cnn = make_cnn()
+        if memory == "single":
+            self.memories = nn.ModuleList([Memory(FEATURES + TARGET + LAST, recurrent)])
+        else:
+            self.memories = nn.ModuleList([Memory(FEATURES + TARGET, recurrent),
+                                           Memory(HIDDEN + LAST, recurrent)])
+        self.dense = orthogonal(nn.Linear(HIDDEN, HIDDEN), RELU_GAIN)
+        self.action = orthogonal(nn.Linear(HIDDEN, 2), 0.01)  # small: it starts undecided
         self.value = orthogonal(nn.Linear(HIDDEN, 1))
         self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
         self.register_buffer("command_scale", torch.tensor(command_scale))
@@ -97,50 +125,83 @@ class Network(nn.Module):
 
     @torch.no_grad()
     def limit_std(self, share):
-        """The deviation of the actions becomes at most that share of the initial one."""
-        self.log_std.clamp_(max=(torch.tensor(INITIAL_STD) * share).log().to(self.log_std.device))
+        """The standard deviation of the actions becomes at most that share of the initial one."""
+        limit = torch.tensor(INITIAL_STD) * share
+        self.log_std.clamp_(max=limit.log().to(self.log_std.device))
 
     def see(self, images):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
-        x = images.permute(0, 3, 1, 2).float()  # channels stay last in memory
-        return self.cnn(x.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))
+        if self.without == "image":
+            images = images * 0
+        colours = images.permute(0, 3, 1, 2).float()  # (B, 3, H, W); channels stay last in memory
+        return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))
+
+    def remember(self, features, target, last, state, mask):
+        """Fig. 1: features (M, T, FEATURES), target (M, T, 2), last velocity and reward (M, T, 3),
+        memory and mask -> (M, T, HIDDEN), memory."""
+        x = torch.cat([features, target], -1)  # (M, T, FEATURES + TARGET)
+        if self.memory == "single":
+            x = torch.cat([x, last], -1)
+            x, after = self.memories[0](x, state[:, 0], mask)
+            return x, after[:, None]
+        x, after_first = self.memories[0](x, state[:, 0], mask)  # (M, T, HIDDEN)
+        x = torch.cat([x, last], -1)  # (M, T, HIDDEN + LAST)
+        x, after_second = self.memories[1](x, state[:, 1], mask)  # (M, T, HIDDEN)
+        return x, torch.stack([after_first, after_second], 1)
+
+    def policy(self, x):
+        """The distribution of actions (M, T, 2) from the dense layer's output (M, T, HIDDEN)."""
+        linear, angular = self.action(x).unbind(-1)
+        mean = torch.stack([torch.sigmoid(linear), torch.tanh(angular)], -1)  # paper III-C
+        return Normal(mean, self.log_std.exp())
+
+    def forward(self, observations, state, mask=None):
+        """Observations and the memory before them -> distribution of actions (M, T, 2), values
+        (M, T), memory after them, Eq. (1).
+
+        observations: `target` (M, T, 2), `velocity` (M, T, 2), `last_reward` (M, T, 1), and `image`
+        (M, T, H, W, 3), or with a mask (B, H, W, 3), those of the real steps alone.
+        state: (M, layers, 2, HIDDEN).
+        mask: (M, T) bool, false where a step is no step of an episode; it clears the memory.
+        """
+        target = observations["target"]
+        images = observations["image"]
+        if mask is None:
+            mask = torch.ones_like(target[..., 0], dtype=torch.bool)
+            images = images.flatten(0, 1)  # (B, H, W, 3)
+        features = target.new_zeros(*mask.shape, FEATURES)  # (M, T, FEATURES)
+        features[mask] = self.see(images)  # convolutions are done for real steps alone
+        target = target * (0 if self.without == "target" else TARGET_SCALE)
+        last = torch.cat([observations["velocity"] / self.command_scale,
+                          observations["last_reward"] * REWARD_SCALE], -1)  # (M, T, LAST)
+        if self.without == "last":
+            last = last * 0
+        x, state = self.remember(features, target, last, state, mask)  # (M, T, HIDDEN)
+        x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
+        return self.policy(x), self.value(x)[..., 0], state
 
     @torch.no_grad()
-    def act(self, observations, state, generator=None):
+    def act(self, observations, state, generator):
         """One step of M robots: what the environment shows (M, ...), as arrays, and the memory ->
         mean actions (M, 2), sampled actions (M, 2), the samples' log-probabilities (M,), values
-        (M,), memory. A sample may lie outside the actions' bounds: the environment clips it, but
-        its log-probability is that of the sample as drawn.
+        (M,), memory. generator: torch Generator, draws the samples.
+
+        A sample may lie outside the actions' bounds: the environment clips it, but its
+        log-probability is that of the sample as drawn.
         """
-        seen = {key: torch.as_tensor(value)[:, None].to(self.log_std.device)
+        device = self.log_std.device
+        seen = {key: torch.as_tensor(value)[:, None].to(device)  # (M, T = 1, ...)
                 for key, value in observations.items()}
         distribution, values, state = self(seen, state)
-        mean, std = distribution.mean[:, 0].cpu(), distribution.stddev[:, 0].cpu()
+        mean = distribution.mean[:, 0].cpu()
+        std = distribution.stddev[:, 0].cpu()
         actions = torch.normal(mean, std, generator=generator)
         log_probs = Normal(mean, std).log_prob(actions).sum(-1)
         return mean, actions, log_probs, values[:, 0].cpu(), state
 
-    def forward(self, observations, state, mask=None):
-        """Observations (M, T, ...) and the memory before them -> distribution of actions (M, T, 2),
-        values (M, T), memory after them. Where the mask (M, T) is given and false, a step is no
-        step of an episode and clears the memory; images are those of the others, (B, H, W, 3).
-        """
-        target, images = observations["target"], observations["image"].flatten(0, -4)
-        real = torch.ones_like(target[..., 0], dtype=torch.bool) if mask is None else mask
-        features = target.new_zeros(*target.shape[:2], FEATURES)  # (M, T, FEATURES)
-        features[real] = self.see(images * 0 if self.without == "image" else images)
-        last = torch.cat([observations["velocity"] / self.command_scale,
-                          observations["reward"] * REWARD_SCALE], -1)  # a_{t-1}, paper III-B
-        last = last * 0 if self.without == "last" else last
-        target = target * (0 if self.without == "target" else TARGET_SCALE)
-        x, states = torch.cat([features, target], -1), []
-        if self.memory == "single":
-            x = torch.cat([x, last], -1)
-        for k, memory in enumerate(self.memories):
-            x = torch.cat([x, last], -1) if k == 1 else x
-            x, after = memory(x, state[:, k], real)
-            states.append(after)
-        x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
-        linear, angular = self.action(x).unbind(-1)
-        mean = torch.stack([torch.sigmoid(linear), torch.tanh(angular)], -1)
-        return Normal(mean, self.log_std.exp()), self.value(x)[..., 0], torch.stack(states, 1)
+
+def make_network(seed, memory="stacked", without=""):
+    """A Network with weights drawn from that seed. torch's global generator stays as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return Network(memory, without)

@@ -13,24 +13,34 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from command_line import CommandLine
-from pictures import draw_demo
+import scenes as scene_files
 from render import Camera, H, W
-from scene_file import SCENE_FOLDER, load_scene
 from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
-                 ROBOT_RADIUS, Scene, SceneError, World, wrap_angle)
+                 SceneError, World, wrap_angle)
+from support import checks
+from support.command_line import CommandLine
+from support.screen import Screen
 
-ARRIVAL_REWARD, COLLISION_REWARD = 100.0, -50.0  # released config
-PROGRESS_REWARD, STEP_COST = 100.0, 0.05  # c_r [1/m] and c_p of Eq. (4), released config
+ARRIVAL_REWARD = 100.0  # released config
+COLLISION_REWARD = -50.0  # released config
+PROGRESS_REWARD = 100.0  # [1/m] c_r of Eq. (4), released config
+STEP_COST = 0.05  # c_p of Eq. (4), released config
 MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script allows 1000
 MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad/s]
+LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the maxima
+HIGHEST_ACTION = np.array([1.0, 1.0])
 OUTCOMES = ("arrival", "collision", "timeout")
+ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
+CHANGING = ("goals", "starts", "_target", "_steps", "_return")  # arrays of the environment's state
+RENDER_FPS = 10  # frames a second; a frame is CONTROL_PERIOD, so four times faster than life
 
 
 def polar_targets(poses, targets):
     """Distance [m] and bearing [rad] in (-pi, pi], (R, 2), of targets (R, 2) from poses (R, 3)."""
-    dx, dy = (targets - poses[:, :2]).T
-    return np.stack([np.hypot(dx, dy), wrap_angle(np.arctan2(dy, dx) - poses[:, 2])], -1)
+    dx = targets[:, 0] - poses[:, 0]
+    dy = targets[:, 1] - poses[:, 1]
+    bearing = wrap_angle(np.arctan2(dy, dx) - poses[:, 2])
+    return np.stack([np.hypot(dx, dy), bearing], -1)
 
 
 def rewards(before, after, arrived, hit):
@@ -43,117 +53,132 @@ class NavVecEnv(VectorEnv):
     """R robots, each on its own way to a target; one that ends its episode starts the next at once.
 
     An observation is a dict of `image` (R, H, W, 3) uint8 RGB, `target` (R, 2) distance [m] and
-    bearing [rad], `velocity` (R, 2) the last command as executed [m/s, rad/s], and `reward` (R, 1)
-    the last reward; the last two are 0 at an episode's start. An action (R, 2) holds the linear
-    velocity in [0, 1] and the angular in [-1, 1] as fractions of their maxima, and is clipped.
+    bearing [rad], `velocity` (R, 2) the last command as executed [m/s, rad/s], and `last_reward`
+    (R, 1); the last two are 0 at an episode's start. An action (R, 2) holds the linear velocity in
+    [0, 1] and the angular in [-1, 1] as fractions of their maxima, and is clipped.
 
     Arrival and collision terminate an episode, the step limit truncates it. Autoreset is same-step.
-    `infos["pose"]` (R, 3) are the poses that the step led to. At an episode's end
-    `infos["final_obs"][r]` is the episode's last observation and `infos["final_info"]` holds
-    its `outcome`, `return`, `length`, `target` (index into the scene's targets) and `new`.
-    `goals` (R, 2) and `starts` (R, 3) are those of the episodes under way.
+    `infos["pose"]` (R, 3) are the poses that the step led to, `infos["command"]` (R, 2) the
+    commands that led there. When episodes end, `infos["final_obs"]` holds the last observations
+    (R, ...), and `infos["final_info"]` the `outcome` (index into OUTCOMES), `return`, `length`,
+    `target_index` (into the scene's targets), `new` (whether that is a new target) and `scene`,
+    (R,) each. As in all of Gymnasium, the mask of the robots that they are about has the same name
+    after a `_`.
+
+    A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`.
     """
 
-    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS,
+                "autoreset_mode": AutoresetMode.SAME_STEP}
+    autoreset_mode = AutoresetMode.SAME_STEP  # where TorchRL looks for it
 
-    def __init__(self, num_envs=32, env="env1", targets="both", random_starts=0.0,
-                 max_episode_steps=MAX_EPISODE_STEPS):
-        """env: a scene's name, path or Scene, or a list of these that robots take in turn.
+    def __init__(self, num_envs=32, scenes=("env1",), targets="both", random_starts=0.0,
+                 max_episode_steps=MAX_EPISODE_STEPS, render_mode=None):
+        """scenes: a list of names, paths or Scenes; robot r drives in `scenes[r % len(scenes)]`.
         targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
         or (R,) indices into `scene.targets`, one for each robot.
         random_starts: the fraction of the episodes to training targets that start anywhere
         reachable, at any heading, 1 m from the target or more (in a smaller room, as far as can
         be); all others start at the start pose.
+        max_episode_steps: -1 is no limit.
+        render_mode: "rgb_array" or None.
         Raises ValueError for any of these that is not valid.
         """
-        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            if not isinstance(value, (int, np.integer)) or value < 1:
-                raise ValueError(f"{name} is {value!r}, it must be a whole number from 1 up")
-        if not 0 <= random_starts <= 1:
-            raise ValueError(f"random_starts is {random_starts!r}, it must be from 0 to 1")
-        envs = env if isinstance(env, (list, tuple)) else [env]
-        rooms = [room if isinstance(room, Scene) else load_scene(room) for room in envs]
-        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        checks.check_numbers(num_envs, max_episode_steps, random_starts)
+        checks.check_render_mode(render_mode, self.metadata["render_modes"])
+        self.num_envs = num_envs
+        self.max_episode_steps = max_episode_steps
         self.random_starts = random_starts
-        self.room = np.arange(num_envs) % len(rooms)
-        self.world = World([rooms[k] for k in self.room])
-        self.camera = Camera(rooms)
-        self._choices = self._target_choices(targets)
-        widest = max(np.hypot(*np.ptp(room.bounds, axis=0)) for room in rooms)
-        most = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
+        self.render_mode = render_mode
+        self.scenes = checks.load_scenes(scenes)
+        self.scene_of = np.arange(num_envs) % len(self.scenes)
+        self.world = World([self.scenes[k] for k in self.scene_of])
+        self.camera = Camera(self.scenes)
+        self._choices = checks.target_choices(targets, self.world.scenes)  # R lists of indices
+        self._training_count = np.array([len(s.training_targets) for s in self.world.scenes])
+        self._make_spaces()
+        self._target = np.zeros(num_envs, dtype=int)  # of the episodes under way
+        self.goals = np.zeros((num_envs, 2))  # [m] where these targets are
+        self.starts = np.zeros((num_envs, 3))  # poses that these episodes started at
+        self._steps = None  # (R,) steps so far; None before the first reset
+        self._return = np.zeros(num_envs)  # rewards so far
+        self._screens = [Screen() for _ in range(num_envs)] if render_mode else []
+
+    def _make_spaces(self):
+        """What Gymnasium wants to know of observations and actions."""
+        widest = max(np.hypot(*np.ptp(scene.bounds, axis=0)) for scene in self.scenes)
+        highest_reward = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
         self.single_observation_space = Dict({
             "image": Box(0, 255, (H, W, 3), np.uint8),
             "target": Box(np.float32([0, -np.pi]), np.float32([widest, np.pi])),
-            "velocity": Box(np.float32(MAX_COMMAND * (0, -1)), np.float32(MAX_COMMAND)),
-            "reward": Box(np.float32(-most), np.float32(most), (1,))})
-        self.single_action_space = Box(np.float32([0, -1]), np.float32([1, 1]))
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._steps = None  # (R,) steps of the episodes under way; None before the first reset
-
-    def _target_choices(self, targets):
-        """The target indices, one array a robot, that its episodes draw from."""
-        named, choices = isinstance(targets, str), []
-        for r, scene in enumerate(self.world.scenes):
-            training, both = len(scene.training_targets), range(len(scene.targets))
-            sets = {"training": both[:training], "new": both[training:], "both": both}
-            if targets not in sets if named else (
-                    np.shape(targets) != (self.num_envs,) or targets[r] not in both):
-                raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(sets)}, or "
-                                 f"hold an index into its scene's targets for each robot")
-            choices.append(np.array(sets[targets] if named else [targets[r]]))
-        return choices
+            "velocity": Box(np.float32(MAX_COMMAND * LOWEST_ACTION), np.float32(MAX_COMMAND)),
+            "last_reward": Box(np.float32(-highest_reward), np.float32(highest_reward), (1,))})
+        self.single_action_space = Box(np.float32(LOWEST_ACTION), np.float32(HIGHEST_ACTION))
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(self, *, seed=None, options=None):
-        """Starts every robot's episode; `seed` starts the random generator anew."""
+        """Starts every robot's episode; `seed` starts the random generator anew.
+
+        options: `target`, an index into the scene's targets, and `start`, a pose (x, y, theta), of
+        these first episodes; one for all robots, or one for each. Raises ValueError.
+        """
+        options = checks.check_options(options, self.world.scenes)
         super().reset(seed=seed)
-        R, robots = self.num_envs, np.arange(self.num_envs)
-        self._target, self.goals, self.starts = np.zeros(R, int), np.zeros((R, 2)), np.zeros((R, 3))
-        self._steps, self._return = np.zeros(R, int), np.zeros(R)
-        self._begin(robots)
-        observations = self._observe(robots, self.world.poses, self.goals, np.zeros((R, 2)),
-                                     np.zeros(R))
-        return observations, {"pose": self.world.poses}
+        robots = np.arange(self.num_envs)
+        self._steps = np.zeros(self.num_envs, dtype=int)
+        observations = self._begin(robots, options)
+        self._look(observations)
+        return observations, {"pose": self.world.poses, "command": np.zeros((self.num_envs, 2))}
 
-    def _begin(self, robots):
-        """Starts a new episode for those robots, (n,) indices."""
+    def _begin(self, robots, options):
+        """Starts a new episode for those robots, (n,) indices. Returns what they see."""
         for r in robots:
-            self._target[r], self.goals[r], self.starts[r] = self.draw(r)
-        self._steps[robots], self._return[robots] = 0, 0
+            scene = self.world.scenes[r]
+            episode = checks.asked_episode(self.sample_episode(r), options, r, scene)
+            self._target[r], self.goals[r], self.starts[r] = episode
+            if self._screens:
+                self._screens[r].begin(scene, self.goals[r])
+        self._steps[robots] = 0
+        self._return[robots] = 0
         self.world.place(robots, self.starts[robots])
+        return self.observe(robots, self.world.poses[robots], self.goals[robots],
+                            np.zeros((len(robots), 2)), np.zeros(len(robots)))
 
-    def draw(self, r):
-        """What robot r's next episode is: target (index), goal (2,) [m], start pose (3,)."""
-        scene, rng, choices = self.world.scenes[r], self.np_random, self._choices[r]
+    def sample_episode(self, r):
+        """What robot r's next episode is: target (index), goal (2,) [m], start pose (3,). A hook:
+        draws by `self.np_random`."""
+        scene = self.world.scenes[r]
+        rng = self.np_random
+        choices = self._choices[r]
         target = choices[rng.integers(len(choices))]
-        new, start = target >= len(scene.training_targets), scene.start
+        goal = scene.targets[target]
+        new = target >= len(scene.training_targets)
+        start = scene.start
         if not new and self.random_starts > 0 and rng.random() < self.random_starts:
-            away = scene.starts[target]
-            start = (*away[rng.integers(len(away))], rng.uniform(-np.pi, np.pi))
-        return target, scene.targets[target], start
+            away = scene.away_from(goal)
+            x, y = scene.reachable[away[rng.integers(len(away))]]
+            start = (x, y, rng.uniform(-np.pi, np.pi))
+        return target, goal, start
 
-    def _observe(self, robots, poses, targets, velocity, reward):
-        return {"image": self.camera.render(self.room[robots], poses, targets),
-                "target": polar_targets(poses, targets).astype(np.float32),
-                "velocity": velocity.astype(np.float32),
-                "reward": reward[:, None].astype(np.float32)}
+    def observe(self, robots, poses, goals, velocities, last_rewards):
+        """What those robots (n,) see: from poses (n, 3) with goals (n, 2) [m], after commands
+        (n, 2) [m/s, rad/s] and rewards (n,). Returns the observation, a dict. A hook."""
+        return {"image": self.camera.render(self.scene_of[robots], poses, goals),
+                "target": polar_targets(poses, goals).astype(np.float32),
+                "velocity": velocities.astype(np.float32),
+                "last_reward": last_rewards[:, None].astype(np.float32)}
 
-    def _command(self, actions):
-        """Commands (R, 2) [m/s, rad/s] from actions. Raises ValueError, ResetNeeded."""
-        if self._steps is None:
-            raise ResetNeeded("step() was called before reset()")
-        actions = np.asarray(actions, dtype=float)
-        if actions.shape != (self.num_envs, 2):
-            raise ValueError(f"the actions have shape {actions.shape}, it must be "
-                             f"({self.num_envs}, 2): linear in [0, 1], angular in [-1, 1]")
-        if not np.isfinite(actions).all():
-            raise ValueError(f"the action of robot {np.isfinite(actions).all(1).argmin()} is not "
-                             "finite: linear must be in [0, 1], angular in [-1, 1]")
-        return actions.clip([0, -1], [1, 1]) * MAX_COMMAND
+    def command(self, actions):
+        """The commands (R, 2) [m/s, rad/s] that actions (R, 2) come to. A hook."""
+        return actions.clip(LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
 
     def step(self, actions):
-        """Drives all robots for one control period with actions (R, 2)."""
-        command = self._command(actions)
+        """Drives all robots for one control period with actions (R, 2). Returns observations,
+        rewards (R,), terminated (R,), truncated (R,), infos. Raises ValueError, ResetNeeded."""
+        if self._steps is None:
+            raise ResetNeeded("step() was called before reset()")
+        command = self.command(checks.check_actions(actions, self.num_envs))
         before = polar_targets(self.world.poses, self.goals)[:, 0]
         hit = self.world.drive(command)
         poses = self.world.poses
@@ -163,94 +188,143 @@ class NavVecEnv(VectorEnv):
         self._steps += 1
         self._return += reward
         terminated = arrived | hit
-        truncated = ~terminated & (self._steps >= self.max_episode_steps)
-        done, outcome = terminated | truncated, np.where(arrived, 0, np.where(hit, 1, 2))
-        observations, infos = self._end(done, outcome, poses, command, reward)
-        return observations, reward, terminated, truncated, {"pose": poses} | infos
+        truncated = ~terminated & (self._steps == self.max_episode_steps)
+        observations = self.observe(np.arange(self.num_envs), poses, self.goals, command, reward)
+        infos = {"pose": poses, "command": command}
+        ended = np.flatnonzero(terminated | truncated)
+        if len(ended):
+            outcome = np.where(arrived, ARRIVAL, np.where(hit, COLLISION, TIMEOUT))
+            infos |= self._final_infos(terminated | truncated, outcome, observations)
+            for key, first in self._begin(ended, {}).items():
+                observations[key][ended] = first
+        self._look(observations)
+        return observations, reward, terminated, truncated, infos
 
-    def _end(self, done, outcome, poses, command, reward):
-        """Ends the episodes that are done (R,) bool and starts the next ones. Returns what all
-        robots see now, and the infos of those that are done: what they saw and how they fared."""
-        R, ended = self.num_envs, np.flatnonzero(done)
-        training = np.array([len(scene.training_targets) for scene in self.world.scenes])
-        final_info = {"outcome": np.array(OUTCOMES)[outcome], "return": self._return.copy(),
-                      "length": self._steps.copy(), "target": self._target.copy(),
-                      "new": self._target >= training}
-        targets = self.goals.copy()
-        self._begin(ended)
-        # One picture for the last observations of all and the first ones of those that start.
-        seen = self._observe(np.append(np.arange(R), ended),
-                             np.concatenate([poses, self.world.poses[ended]]),
-                             np.concatenate([targets, self.goals[ended]]),
-                             np.pad(command, ((0, len(ended)), (0, 0))),
-                             np.pad(reward, (0, len(ended))))
-        if not len(ended):
-            return seen, {}
-        final_obs = np.full(R, None, dtype=object)
-        for r in ended:
-            final_obs[r] = {key: value[r].copy() for key, value in seen.items()}
-        for value in seen.values():
-            value[ended] = value[R:]
-        infos = {"final_obs": final_obs, "_final_obs": done, "_final_info": done,
-                 "final_info": final_info | {f"_{key}": done for key in final_info}}
-        return {key: value[:R] for key, value in seen.items()}, infos
+    def _final_infos(self, done, outcome, observations):
+        """How the episodes fared that are done (R,) bool, and the last that was seen of them."""
+        final_info = self.figures(outcome)
+        masks = {f"_{key}": done for key in final_info}
+        final_obs = {key: value.copy() for key, value in observations.items()}
+        return {"final_obs": final_obs, "_final_obs": done,
+                "final_info": final_info | masks, "_final_info": done}
+
+    def figures(self, outcome):
+        """Figures of the episodes under way, (R,) each, if they end now with that outcome (R,)."""
+        return {"outcome": outcome, "return": self._return.copy(), "length": self._steps.copy(),
+                "target_index": self._target.copy(), "new": self._target >= self._training_count,
+                "scene": self.scene_of.copy()}
+
+    def _look(self, observations):
+        """Keeps what the robots see now for `render`."""
+        for r, screen in enumerate(self._screens):
+            screen.see(self.world.poses[r], observations["image"][r], observations["velocity"][r],
+                       self._steps[r] * CONTROL_PERIOD)
+
+    def render(self):
+        """With render_mode "rgb_array", the map beside the camera's image of every robot: a tuple
+        of R (height, width, 3) uint8 pictures. Raises ResetNeeded."""
+        return tuple(screen.picture() for screen in self._screens) if self._screens else None
+
+    def state(self):
+        """All that changes while robots drive, for `load_state`: arrays and numbers alone."""
+        arrays = {name: getattr(self, name).copy() for name in CHANGING}
+        return arrays | {"world": self.world.state(), "random": self.np_random.bit_generator.state}
+
+    def load_state(self, state):
+        """Goes on from a state of an environment that was made in the same way."""
+        for name in CHANGING:
+            setattr(self, name, state[name].copy())
+        self.world.load_state(state["world"])
+        self.np_random.bit_generator.state = state["random"]
 
 
 class NavEnv(gym.Env):
-    """One robot: `NavVecEnv` with R = 1, the robots' axis taken off, and no autoreset."""
+    """One robot: `NavVecEnv` with R = 1, the robots' axis taken off, and no autoreset.
 
-    metadata = {"render_modes": []}
+    `info` holds the episode's figures at every step, as the last `final_info` of NavVecEnv does.
+    `outcome` is what it is if the episode ends there: a time limit that is a wrapper's is not known
+    here. By `gymnasium.make("navbot_min:NavBot-env1-v0")` the limit is such a one, 200 steps.
+    """
 
-    def __init__(self, env="env1", targets="both", random_starts=0.0,
-                 max_episode_steps=MAX_EPISODE_STEPS):
-        self.vector = NavVecEnv(1, env, targets, random_starts, max_episode_steps)
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
+
+    def __init__(self, scenes=("env1",), targets="both", random_starts=0.0,
+                 max_episode_steps=checks.NO_LIMIT, render_mode=None):
+        """As NavVecEnv, but without a time limit of its own unless one is given. render_mode: also
+        "human", a window. Raises ValueError."""
+        checks.check_render_mode(render_mode, self.metadata["render_modes"])
+        self.vector = NavVecEnv(1, scenes, targets, random_starts, max_episode_steps)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
+        self.render_mode = render_mode
         self._under_way = False
+        self._screen = Screen()
 
     def reset(self, *, seed=None, options=None):
+        """Starts an episode. options: `target` and `start` of it, as in NavVecEnv."""
         super().reset(seed=seed)
-        observations, infos = self.vector.reset(seed=seed)
+        observations, infos = self.vector.reset(seed=seed, options=options)
         self._under_way = True
-        return {key: value[0] for key, value in observations.items()}, {"pose": infos["pose"][0]}
+        self._screen.begin(self.vector.world.scenes[0], self.vector.goals[0])
+        info = {key: value[0] for key, value in infos.items()}
+        return self._look(observations, info, 0), info
 
     def step(self, action):
-        """As in NavVecEnv; `info` holds the episode's `outcome` and so on when it ends."""
+        """As in NavVecEnv, for one action (2,). Raises ValueError, ResetNeeded."""
         if not self._under_way:
             raise ResetNeeded("step() was called before reset(), or after the episode's end")
-        action = np.asarray(action)[None]
-        observations, reward, terminated, truncated, infos = self.vector.step(action)
+        action = np.asarray(action, dtype=float)
+        observations, rewards, terminated, truncated, infos = self.vector.step(action[None])
+        self._under_way = not (terminated[0] or truncated[0])
+        if self._under_way:
+            figures = self.vector.figures(outcome=np.array([TIMEOUT]))
+        else:  # the vector environment has begun the next episode already
+            observations = infos["final_obs"]
+            figures = infos["final_info"]
+        info = {"pose": infos["pose"][0], "command": infos["command"][0]}
+        info |= {key: value[0].item() for key, value in figures.items() if key[0] != "_"}
+        observation = self._look(observations, info, info["length"])
+        return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def _look(self, observations, info, steps):
+        """The one robot's observation. In a window it shows at once."""
         observation = {key: value[0] for key, value in observations.items()}
-        info = {"pose": infos["pose"][0]}
-        if terminated[0] or truncated[0]:
-            self._under_way = False
-            observation = infos["final_obs"][0]
-            info |= {key: value[0].item() for key, value in infos["final_info"].items()
-                     if not key.startswith("_")}
-        return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+        self._screen.see(info["pose"], observation["image"], info["command"],
+                         steps * CONTROL_PERIOD)
+        if self.render_mode == "human":
+            self._screen.show(RENDER_FPS)
+        return observation
+
+    def render(self):
+        """With render_mode "rgb_array" the map beside the camera's image, a (height, width, 3)
+        uint8 picture. Raises ResetNeeded."""
+        return self._screen.picture() if self.render_mode == "rgb_array" else None
+
+    def close(self):
+        """Closes the window, if there is one."""
+        self._screen.close()
 
 
-for _path in sorted(SCENE_FOLDER.glob("*.toml")):
-    gym.register(f"NavBot-{_path.stem}-v0", entry_point=NavEnv, vector_entry_point=NavVecEnv,
-                 kwargs={"env": _path.stem})
+for _name in scene_files.names():
+    gym.register(f"NavBot-{_name}-v0", entry_point="navbot_min:NavEnv",
+                 vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
+                 max_episode_steps=MAX_EPISODE_STEPS)
 
 
-def turn_to_target(observation):
-    """The demo's rule, (2,) action: turn to the target, drive when it is ahead. Blind to walls."""
-    bearing = observation["target"][1]
-    return np.array([max(0.0, np.cos(bearing)), np.clip(2 * bearing, -1, 1)])
+class TurnToTarget:
+    """The demo's driver: turns to the target, and drives when it is ahead. Blind to walls."""
 
+    label = "turn to the target and go"
 
-def drive_episode(env, seed):
-    """One episode of `turn_to_target`: its poses (T + 1, 3), images (T + 1, H, W, 3), last info."""
-    observation, info = env.reset(seed=seed)
-    poses, images, over = [info["pose"]], [observation["image"]], False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(turn_to_target(observation))
-        over = terminated or truncated
-        poses.append(info["pose"])
-        images.append(observation["image"])
-    return np.array(poses), np.array(images), info
+    def reset(self, env, robots):
+        """Remembers nothing, so an episode's start changes nothing."""
+
+    def act(self, env, observations):
+        """Actions (R, 2) from what the robots see."""
+        bearing = observations["target"][:, 1]
+        linear = np.maximum(np.cos(bearing), 0)
+        angular = np.clip(2 * bearing, -1, 1)
+        return np.stack([linear, angular], -1)
 
 
 def main(argv=None):
@@ -258,16 +332,14 @@ def main(argv=None):
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
     parser.add_argument("--env", default="env1", help="a scene's name, or a path to a scene file")
     options = parser.parse(argv)
+    from support.pictures import draw_demo  # loads matplotlib, which the task itself needs not
+    from support.traces import drive
     try:
-        env = NavEnv(options.env)
-        scene, episodes = env.vector.world.scenes[0], []
-        for k in range(6):
-            episodes.append(drive_episode(env, seed=0 if k == 0 else None))
-            info = episodes[-1][2]
-            print(f"episode {k + 1}: {'new' if info['new'] else 'training'} target "
-                  f"{scene.targets[info['target']].tolist()}: {info['outcome']} after "
-                  f"{info['length'] * CONTROL_PERIOD:.1f} s, return {info['return']:.1f}")
-        draw_demo(scene, episodes).savefig("demo.png", dpi=110)
+        env = NavVecEnv(1, [options.env])
+        traces = drive(TurnToTarget(), env, quota=[6], images=True)
+        for k, trace in enumerate(traces):
+            print(f"episode {k + 1}: {trace}")
+        draw_demo(env.scenes[0], traces).savefig("demo.png", dpi=110)
     except (SceneError, OSError) as error:
         parser.error(error)
     print("wrote demo.png: the map with the paths, and what the camera saw")

@@ -2,15 +2,16 @@
 
 The letters are those of the formulas and of the code alike: r ratio, A advantage, gamma discount,
 lam (lambda) of GAE, eps clip range. Axis letters: R robots, T steps of an episode, M rows of a
-minibatch, N episodes of an update, K epochs.
+minibatch, B its real steps, N episodes of an update, K epochs.
+
+There is no entropy bonus: the policy's standard deviation is a parameter of its own, learnt from a
+large value down, and the robot explores by it for as long as that pays.
 """
 
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 import torch
-from torch import distributed
 from torch.nn.functional import mse_loss
 from torch.nn.utils.rnn import pad_sequence
 
@@ -39,52 +40,85 @@ class Collector:
     the log-probabilities that its actions had when they were taken.
     """
 
-    def __init__(self, env, model, reward_scale, seed):
-        """env: a Gymnasium VectorEnv with same-step autoreset and dict observations."""
-        self.env, self.model, self.reward_scale = env, model, reward_scale
-        self._observations, _ = env.reset(seed=seed)
-        self._state = model.initial_state(env.num_envs)
+    def __init__(self, env, model, reward_scale, env_seed, action_seed):
+        """env: a Gymnasium VectorEnv with same-step autoreset and dict observations; it gets the
+        first seed, the generator that draws the actions gets the second."""
+        self.env = env
+        self.model = model
+        self.reward_scale = reward_scale
+        self.generator = torch.Generator().manual_seed(action_seed)
+        self._observations, _ = env.reset(seed=env_seed)
+        self._memory = model.initial_state(env.num_envs)
         self._length = np.zeros(env.num_envs, dtype=int)  # steps of the episodes under way
         self._steps = {}  # name -> (R, longest episode, ...), the steps of the episodes under way
 
-    def _store(self, **step):
-        R = self.env.num_envs
-        for name, value in step.items():
-            value = torch.as_tensor(value)
-            if name not in self._steps:
-                self._steps[name] = torch.zeros(R, self.env.max_episode_steps, *value.shape[1:],
-                                                dtype=value.dtype)
-            self._steps[name][np.arange(R), self._length] = value
-
     def step(self):
-        """One step of all robots. Returns the episodes that it ended, [(Episode, info), ...]."""
+        """One step of all robots. Returns the episodes that it ended, [(Episode, info), ...], where
+        info holds the environment's `final_info` of that robot."""
         seen = self._observations
-        _, actions, log_probs, values, self._state = self.model.act(seen, self._state)
+        action = self.model.act(seen, self._memory, self.generator)
+        _, actions, log_probs, values, self._memory = action
         self._observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
-        self._store(actions=actions, log_probs=log_probs, values=values,
-                    rewards=(rewards * self.reward_scale).astype(np.float32), **seen)
+        scaled = (rewards * self.reward_scale).astype(np.float32)
+        self._store(actions=actions, log_probs=log_probs, values=values, rewards=scaled, **seen)
         self._length += 1
         last_values = self._last_values(truncated, infos)
         ended = []
         for r in np.flatnonzero(terminated | truncated):
-            T = self._length[r]
-            steps = {name: value[r, :T].clone() for name, value in self._steps.items()}
-            observations = {name: steps.pop(name) for name in seen}
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
-            ended.append((Episode(observations, **steps, last_value=last_values[r]), info))
-            self._length[r] = 0
-            self._state[r] = 0  # memory is cleared at terminated and truncated alike
+            ended.append((self._take_episode(r, last_values[r]), info))
+            self._memory[r] = 0  # memory is cleared at terminated and truncated alike
         return ended
+
+    def _store(self, **step):
+        """Keeps a step of all robots, name -> (R, ...)."""
+        for name, value in step.items():
+            value = torch.as_tensor(value)
+            if name not in self._steps:
+                self._steps[name] = self._room_for(value)
+            self._steps[name][np.arange(len(value)), self._length] = value
+
+    def _room_for(self, value):
+        """Zeros (R, longest episode, ...) for steps like that one (R, ...)."""
+        return value.new_zeros(len(value), self.env.max_episode_steps, *value.shape[1:])
+
+    def _take_episode(self, r, last_value):
+        """The whole episode that robot r has ended."""
+        steps = {name: value[r, :self._length[r]].clone() for name, value in self._steps.items()}
+        observations = {name: steps.pop(name) for name in self._observations}
+        self._length[r] = 0
+        return Episode(observations, **steps, last_value=float(last_value))
 
     def _last_values(self, truncated, infos):
         """(R,) values to bootstrap from: where time ran out, that of the true last observation with
         the memory of that moment; 0 where an episode was terminated."""
-        values, robots = np.zeros(len(truncated)), np.flatnonzero(truncated)
+        values = np.zeros(len(truncated))
+        robots = np.flatnonzero(truncated)
         if len(robots):
-            final = [infos["final_obs"][r] for r in robots]
-            final = {key: np.stack([one[key] for one in final]) for key in final[0]}
-            values[robots] = self.model.act(final, self._state[robots])[3].numpy()
+            final = {key: value[robots] for key, value in infos["final_obs"].items()}
+            _, _, _, last_values, _ = self.model.act(final, self._memory[robots], self.generator)
+            values[robots] = last_values.numpy()
         return values
+
+    def state(self):
+        """All that changes while robots drive, the environment's state included."""
+        longest = self._length.max()
+        return {"env": self.env.state(), "generator": self.generator.get_state(),
+                "observations": {key: value.copy() for key, value in self._observations.items()},
+                "memory": self._memory.clone(), "length": self._length.copy(),
+                "steps": {name: value[:, :longest].clone() for name, value in self._steps.items()}}
+
+    def load_state(self, state):
+        """Goes on from a state of a collector that was made in the same way."""
+        self.env.load_state(state["env"])
+        self.generator.set_state(state["generator"])
+        self._observations = dict(state["observations"])
+        self._memory = state["memory"].clone()
+        self._length = state["length"].copy()
+        self._steps = {}
+        for name, value in state["steps"].items():
+            self._steps[name] = self._room_for(value[:, 0])
+            self._steps[name][:, :value.shape[1]] = value
 
 
 def advantages(rewards, values, last_value, gamma, lam):
@@ -94,45 +128,54 @@ def advantages(rewards, values, last_value, gamma, lam):
     rewards, values: (T,). last_value is V_T: the value of the last observation where time ran out,
     0 where the episode was terminated. Returns (T,).
     """
-    following = torch.cat([values[1:], values.new_tensor([last_value])])
-    result = (rewards + gamma * following - values).tolist()  # numbers are faster than tensors here
-    for t in reversed(range(len(result) - 1)):
-        result[t] += gamma * lam * result[t + 1]
-    return values.new_tensor(result)
+    next_values = torch.cat([values[1:], values.new_tensor([last_value])])
+    deltas = rewards + gamma * next_values - values
+    A = deltas.tolist()  # one number at a time is faster with numbers than with tensors
+    for t in reversed(range(len(A) - 1)):
+        A[t] += gamma * lam * A[t + 1]
+    return values.new_tensor(A)
 
 
-def rows(lengths):
-    """Lists of episodes that together fit in rows as long as the longest, one step between two:
-    first fit, the longest first. So hardly a step of a minibatch is padding."""
-    filled, free = [], []
+def pack_rows(lengths):
+    """Rows of a minibatch: lists of episodes, as indices into `lengths`, that lie end to end, one
+    step between two, in rows as long as the longest episode.
+
+    First fit, the longest first, so that hardly a step of a minibatch is padding.
+    """
+    rows = []
+    free = []  # steps that are left in each row, the one that parts episodes included
     for k in np.argsort(lengths)[::-1]:
-        row = next((i for i, room in enumerate(free) if room > lengths[k]), len(free))
-        if row == len(free):
-            filled.append([])
+        row = next((row for row, room in enumerate(free) if room > lengths[k]), len(rows))
+        if row == len(rows):  # it fits nowhere
+            rows.append([])
             free.append(max(lengths) + 1)
-        filled[row].append(k)
+        rows[row].append(k)
         free[row] -= lengths[k] + 1
-    return filled
+    return rows
 
 
-def lay(episodes, batch_advantages, device=None):
-    """A minibatch of episodes end to end in M rows of T steps, zeros between: a dict of (M, T, ...)
-    on the device, `mask` is which are real. Images have no zeros between them: (B, H, W, 3)."""
-    order = rows([len(e) for e in episodes])
+def make_minibatch(episodes, batch_advantages, device=None):
+    """Episodes and their advantages packed in M rows of T steps: a dict of (M, T, ...) on the
+    device, zeros between episodes. `mask` is which steps are real. Images have no zeros between
+    them, (B, H, W, 3), in the order of the real steps."""
+    rows = pack_rows([len(episode) for episode in episodes])
 
-    def stack(sequences):
-        parts = [[part for k in row for part in (sequences[k], torch.zeros_like(sequences[k][:1]))]
-                 for row in order]
-        return pad_sequence([torch.cat(row) for row in parts], batch_first=True).to(device)
-    observations = {key: stack([e.observations[key] for e in episodes])
+    def pack(sequences):
+        """(M, T, ...) from a (length, ...) tensor for each episode."""
+        parted = [torch.cat([steps, torch.zeros_like(steps[:1])]) for steps in sequences]
+        packed = [torch.cat([parted[k] for k in row]) for row in rows]
+        return pad_sequence(packed, batch_first=True).to(device)
+
+    observations = {key: pack([episode.observations[key] for episode in episodes])
                     for key in episodes[0].observations if key != "image"}
-    images = [episodes[k].observations["image"] for k in chain(*order)]
+    images = [episodes[k].observations["image"] for row in rows for k in row]
     observations["image"] = torch.cat(images).to(device)
-    returns = [A + e.values for A, e in zip(batch_advantages, episodes)]
-    return {"observations": observations, "actions": stack([e.actions for e in episodes]),
-            "log_probs": stack([e.log_probs for e in episodes]),
-            "advantages": stack(batch_advantages), "returns": stack(returns),
-            "mask": stack([torch.ones(len(e), dtype=torch.bool) for e in episodes])}
+    return {"observations": observations,
+            "actions": pack([episode.actions for episode in episodes]),
+            "log_probs": pack([episode.log_probs for episode in episodes]),
+            "advantages": pack(batch_advantages),
+            "returns": pack([A + e.values for A, e in zip(batch_advantages, episodes)]),
+            "mask": pack([torch.ones(len(e), dtype=torch.bool) for e in episodes])}
 
 
 def losses(model, batch, eps):
@@ -141,12 +184,14 @@ def losses(model, batch, eps):
     Every mean is over the real steps alone.
     """
     mask = batch["mask"]
-    state = model.initial_state(len(mask))
-    distribution, values, _ = model(batch["observations"], state, mask)
-    log_probs = distribution.log_prob(batch["actions"]).sum(-1)[mask]
+    memory = model.initial_state(len(mask))
+    distribution, values, _ = model(batch["observations"], memory, mask)
+    log_probs = distribution.log_prob(batch["actions"]).sum(-1)[mask]  # (B,)
     log_r = log_probs - batch["log_probs"][mask]
-    r, A = log_r.exp(), batch["advantages"][mask]
-    policy_loss = -torch.min(r * A, r.clamp(1 - eps, 1 + eps) * A).mean()  # Eq. (3)
+    r = log_r.exp()
+    A = batch["advantages"][mask]
+    objective = torch.min(r * A, r.clamp(1 - eps, 1 + eps) * A)  # Eq. (3)
+    policy_loss = -objective.mean()
     value_loss = mse_loss(values[mask], batch["returns"][mask])
     with torch.no_grad():
         statistics = {"policy_loss": policy_loss, "value_loss": value_loss,
@@ -156,44 +201,41 @@ def losses(model, batch, eps):
     return policy_loss, value_loss, statistics
 
 
-def total(tensor):
-    """The sum of that tensor over all processes."""
-    if distributed.is_initialized():
-        distributed.all_reduce(tensor)
-    return tensor
+def mean_and_std(A, processes):
+    """Mean and standard deviation of the advantages [(T,), ...] of all processes together."""
+    mine = torch.cat(A).double()
+    sums = torch.stack([torch.ones_like(mine).sum(), mine.sum(), (mine ** 2).sum()])
+    count, total, squares = processes.sum(sums).tolist()
+    mean = total / count
+    variance = max(squares / count - mean ** 2, 0)  # rounding may leave it below 0
+    return mean, variance ** 0.5
 
 
-def average_gradients(model, steps):
-    """Makes the gradients those of the minibatches of all processes together, whose losses are
-    means over so many steps each."""
-    if distributed.is_initialized():
-        all_steps = total(model.log_std.new_tensor(steps))
-        for parameter in model.parameters():
-            total(parameter.grad.mul_(steps / all_steps))
-
-
-def update(model, optimizer, episodes, config, rng):
+def update(model, optimizer, episodes, config, rng, processes):
     """K epochs of minibatches of whole episodes, Algorithm 1. Returns the statistics' means.
 
     config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
+    processes: what several processes share (support/processes.py); one alone shares nothing.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
-    values, every_A, totals = torch.cat([e.values for e in episodes]), torch.cat(A).double(), {}
-    n, first, second = total(torch.stack([every_A ** 0, every_A, every_A ** 2]).sum(1)).tolist()
-    mean, std = first / n, max(second / n - (first / n) ** 2, 0) ** 0.5
+    mean, std = mean_and_std(A, processes)
+    device = model.log_std.device
+    history = {}
     for _ in range(config.epochs):
-        for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
-            batch = lay([episodes[k] for k in chosen], [A[k] for k in chosen], model.log_std.device)
+        shuffled = rng.permutation(len(episodes))
+        for chosen in np.array_split(shuffled, config.minibatches):
+            batch = make_minibatch([episodes[k] for k in chosen], [A[k] for k in chosen], device)
             batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)
             policy_loss, value_loss, statistics = losses(model, batch, config.clip)
             optimizer.zero_grad()
             (policy_loss + VALUE_WEIGHT * value_loss).backward()
-            average_gradients(model, int(batch["mask"].sum()))
+            processes.average_gradients(model, int(batch["mask"].sum()))
             torch.nn.utils.clip_grad_norm_(model.parameters(), MAX_GRADIENT_NORM)
             optimizer.step()
             for name, value in statistics.items():
-                totals.setdefault(name, []).append(value.item())
-    statistics = {name: float(np.mean(value)) for name, value in totals.items()}
-    returns = torch.cat(A) + values
-    statistics["explained_variance"] = float(1 - (returns - values).var() / returns.var())
+                history.setdefault(name, []).append(value.item())
+    statistics = {name: float(np.mean(values)) for name, values in history.items()}
+    errors = torch.cat(A)  # of the values, whose variance is what they did not foretell
+    returns = errors + torch.cat([episode.values for episode in episodes])
+    statistics["explained_variance"] = float(1 - errors.var() / returns.var())
     return statistics

@@ -1,4 +1,8 @@
-"""The world: rooms, and many robots driving in one pymunk space.
+"""The world: rooms, and many robots that drive in one pymunk space.
+
+Why pymunk at all? It does one thing here: it says when a robot's disc touches a wall, quickly and
+for many robots at once. The motion is ours: between two commands a robot drives a circular arc,
+and the arc is computed in closed form (`World.drive`).
 
 Frames and units: SI, ROS axes (x forward, y left, heading counter-clockwise), radians in (-pi, pi].
 A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room, P points.
@@ -18,13 +22,16 @@ MAX_LINEAR_VELOCITY = 0.3  # [m/s] paper III-C; the slowest is 0, the robot neve
 MAX_ANGULAR_VELOCITY = 1.0  # [rad/s] paper III-C, both ways
 ARRIVAL_DISTANCE = 0.177  # [m] robot centre to target, released config
 CONTROL_PERIOD = 0.4  # [s] one command, our choice
-SUBSTEPS = 4  # physics steps of one command
+SUBSTEPS = 4  # physics steps of one command, our choice
+CELL = 0.025  # [m] grid on which a room's reachable floor is found, our choice
+FAR_ENOUGH = 1.0  # [m] from a start drawn at random to its target, our choice
 ROBOTS_PER_COPY = 32  # pymunk pairs all robots that overlap, so a crowd gets rooms of its own
 
-_ROBOTS = pymunk.ShapeFilter(group=1)  # shapes of one group neither touch nor see each other
-_ROBOT_TYPE, _WALL_TYPE = 1, 2
-_ROW = (batch.BodyFields.POSITION | batch.BodyFields.ANGLE  # x, y, theta, vx, vy, omega
-        | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY)
+ROBOT_FILTER = pymunk.ShapeFilter(group=1)  # shapes of one group neither touch nor see each other
+ROBOT_TYPE = 1  # collision types of pymunk
+WALL_TYPE = 2
+ROW = (batch.BodyFields.POSITION | batch.BodyFields.ANGLE  # x, y, theta, vx, vy, omega
+       | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY)
 
 
 class SceneError(ValueError):
@@ -50,7 +57,8 @@ class Box:
     @property
     def corners(self):
         """(4, 2) corners [m], counter-clockwise."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        c = math.cos(self.yaw)
+        s = math.sin(self.yaw)
         own = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (self.length / 2, self.thickness / 2)
         return own @ np.array([(c, s), (-s, c)]) + (self.x, self.y)
 
@@ -80,18 +88,21 @@ class Scene:
         is, so its images are the flipped ones in another light."""
         x, y, theta = self.start
         boxes = tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes)
-        return Scene(self.name, boxes, (-x, y, math.pi - theta),
-                     tuple((-x, y) for x, y in self.training_targets), ())
+        targets = tuple((-x, y) for x, y in self.training_targets)
+        return Scene(self.name, boxes, (-x, y, math.pi - theta), targets, ())
 
     def clearance(self, points):
         """Distance [m] from each of the (..., 2) points to the nearest box, negative inside one."""
-        nearest = np.full(np.shape(points)[:-1], np.inf)
+        points = np.asarray(points)
+        nearest = np.full(points.shape[:-1], np.inf)
         for box in self.boxes:
-            c, s = math.cos(box.yaw), math.sin(box.yaw)
-            own = (np.asarray(points) - (box.x, box.y)) @ np.array([(c, -s), (s, c)])
-            beyond = np.abs(own) - (box.length / 2, box.thickness / 2)
-            outside = np.hypot(*np.maximum(beyond, 0).T).T
-            nearest = np.minimum(nearest, outside + np.minimum(beyond.max(-1), 0))
+            c = math.cos(box.yaw)
+            s = math.sin(box.yaw)
+            own = (points - (box.x, box.y)) @ np.array([(c, -s), (s, c)])  # in the box's axes
+            beyond = np.abs(own) - (box.length / 2, box.thickness / 2)  # past its faces
+            outside = np.hypot(np.maximum(beyond[..., 0], 0), np.maximum(beyond[..., 1], 0))
+            inside = np.minimum(beyond.max(-1), 0)
+            nearest = np.minimum(nearest, outside + inside)
         return nearest
 
     @cached_property
@@ -101,11 +112,12 @@ class Scene:
         A flood fill, so passages less than a cell wider than the robot may count as closed.
         Raises SceneError when the flood runs out of the room.
         """
-        (low, high), cell = self.bounds, 0.025
-        x, y = (np.arange(a - cell, b + 2 * cell, cell) for a, b in zip(low, high))
+        low, high = self.bounds
+        x = np.arange(low[0] - CELL, high[0] + 2 * CELL, CELL)
+        y = np.arange(low[1] - CELL, high[1] + 2 * CELL, CELL)
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
         free = self.clearance(grid) > ROBOT_RADIUS
-        flood = free & (np.abs(grid - self.start[:2]).max(-1) <= cell)
+        flood = free & (np.abs(grid - self.start[:2]).max(-1) <= CELL)
         size = 0
         while flood.sum() > size:
             size = flood.sum()
@@ -117,12 +129,13 @@ class Scene:
             raise SceneError("the room is not closed: the robot can drive out of it")
         return grid[flood]
 
-    @cached_property
-    def starts(self):
-        """For each target the reachable (P, 2) points [m] that are 1 m away or more; in a smaller
-        room those that are farthest away."""
-        distances = (np.hypot(*(self.reachable - target).T) for target in self.targets)
-        return [self.reachable[d >= min(1, d.max())] for d in distances]
+    def away_from(self, goal):
+        """Indices into `reachable` of the points that are 1 m or more from a goal (x, y); in a
+        smaller room of those that are farthest away."""
+        dx = self.reachable[:, 0] - goal[0]
+        dy = self.reachable[:, 1] - goal[1]
+        squared = dx * dx + dy * dy
+        return np.flatnonzero(squared >= min(FAR_ENOUGH ** 2, squared.max()))
 
 
 class World:
@@ -133,46 +146,71 @@ class World:
     """
 
     def __init__(self, scenes):
+        """scenes: R Scenes, one for each robot. Robots start at their scenes' start poses."""
         self.scenes = list(scenes)
         self.space = pymunk.Space()
-        self.space.on_collision(_ROBOT_TYPE, _WALL_TYPE, pre_solve=self._touch)
+        self.space.on_collision(ROBOT_TYPE, WALL_TYPE, pre_solve=self._touch)
         self._offsets = self._lay_out_rooms()  # (R, 2) own room to space
-        self._touched = []
-        self._index = {}
+        self._touched = []  # robots that touched a wall in this substep
+        self._robot_of = {}  # pymunk body -> r
         for r in range(len(self.scenes)):
             body = pymunk.Body(mass=1, moment=1)
             disc = pymunk.Circle(body, ROBOT_RADIUS)
-            disc.filter, disc.collision_type = _ROBOTS, _ROBOT_TYPE
+            disc.filter = ROBOT_FILTER
+            disc.collision_type = ROBOT_TYPE
             self.space.add(body, disc)
-            self._index[body] = r
+            self._robot_of[body] = r
         # One row a body, as pymunk's batch functions move them. The last is the space's static
         # body, which carries the walls and has to stay at zero.
         self._rows = np.zeros((len(self.scenes) + 1, 6))
-        self._to_space, self._from_space = batch.Buffer(), batch.Buffer()
+        self._to_space = batch.Buffer()
+        self._from_space = batch.Buffer()
         self._to_space.set_float_buf(self._rows)
         self.place(slice(None), np.array([scene.start for scene in self.scenes]))
 
+    def state(self):
+        """All that changes while robots drive, (R + 1, 6), for `load_state`."""
+        return self._rows.copy()
+
+    def load_state(self, state):
+        """Goes back to a state of this world, exactly."""
+        self._rows[:] = state
+        batch.set_space_bodies(self.space, ROW, self._to_space)
+
+    def __getstate__(self):
+        """What is pickled or copied: pymunk's own pickle would lose the collision callback."""
+        return {"scenes": self.scenes, "state": self.state()}
+
+    def __setstate__(self, content):
+        self.__init__(content["scenes"])
+        self.load_state(content["state"])
+
     def _lay_out_rooms(self):
-        rooms = {}
+        """Adds the walls of every copy of a room to the space, copies side by side in a square of
+        columns. Returns where each robot's copy lies, (R, 2) [m]."""
+        robots_of = {}  # a room, by identity -> its robots
         for r, scene in enumerate(self.scenes):
-            rooms.setdefault(id(scene), []).append(r)
-        copies = [robots[k:k + ROBOTS_PER_COPY] for robots in rooms.values()
-                  for k in range(0, len(robots), ROBOTS_PER_COPY)]
-        pitch = 1 + np.max([np.ptp(scene.bounds, axis=0) for scene in self.scenes], axis=0)
+            robots_of.setdefault(id(scene), []).append(r)
+        copies = [robots[k:k + ROBOTS_PER_COPY] for robots in robots_of.values()
+                  for k in range(0, len(robots), ROBOTS_PER_COPY)]  # the robots of each
+        widths = [np.ptp(scene.bounds, axis=0) for scene in self.scenes]
+        pitch = 1 + np.max(widths, axis=0)  # [m] from one copy to the next, along x and y
         columns = math.ceil(math.sqrt(len(copies)))
         offsets = np.zeros((len(self.scenes), 2))
         for k, robots in enumerate(copies):
             scene = self.scenes[robots[0]]
-            offsets[robots] = offset = pitch * divmod(k, columns) - scene.bounds[0]
+            place = np.array([k // columns, k % columns]) * pitch
+            offset = place - scene.bounds[0]
+            offsets[robots] = offset
             for box in scene.boxes:
                 wall = pymunk.Poly(self.space.static_body, (box.corners + offset).tolist())
-                wall.collision_type = _WALL_TYPE
+                wall.collision_type = WALL_TYPE
                 self.space.add(wall)
         return offsets
 
     def _touch(self, arbiter, space, data):
         arbiter.process_collision = False  # a hit is reported, never bounced
-        self._touched.append(self._index[arbiter.bodies[0]])
+        self._touched.append(self._robot_of[arbiter.bodies[0]])
 
     @property
     def poses(self):
@@ -183,11 +221,12 @@ class World:
 
     def place(self, robots, poses):
         """Puts the robots (indices or a slice) at those (n, 3) poses, at rest."""
+        poses = np.asarray(poses)
         rows = self._rows[:-1]
-        rows[robots, :2] = np.asarray(poses)[:, :2] + self._offsets[robots]
-        rows[robots, 2] = wrap_angle(np.asarray(poses)[:, 2])
+        rows[robots, :2] = poses[:, :2] + self._offsets[robots]
+        rows[robots, 2] = wrap_angle(poses[:, 2])
         rows[robots, 3:] = 0
-        batch.set_space_bodies(self.space, _ROW, self._to_space)
+        batch.set_space_bodies(self.space, ROW, self._to_space)
 
     def drive(self, commands):
         """Drives every robot for CONTROL_PERIOD; returns (R,) bool, which of them hit a wall.
@@ -195,37 +234,35 @@ class World:
         commands: (R, 2), linear [m/s] and angular [rad/s] velocity. A substep that would end in a
         wall is not made: the robot stands where it was before it, for the rest of the period.
         """
-        v, w = np.array(commands, dtype=float).T
-        rows, dt = self._rows[:-1], CONTROL_PERIOD / SUBSTEPS
+        commands = np.array(commands, dtype=float)
+        v = commands[:, 0]
+        w = commands[:, 1]
+        rows = self._rows[:-1]
+        dt = CONTROL_PERIOD / SUBSTEPS
         hit = np.zeros(len(rows), dtype=bool)
+        # The arc is exact. Its chord points along the heading at half time, and is sin(a) / a as
+        # long as the arc, where a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
+        chord = v * np.sinc(w * dt / (2 * np.pi))
         for _ in range(SUBSTEPS):
             before = rows[:, :3].copy()
-            # An arc's chord points along the heading at half time and is sin(a) / a shorter than
-            # the arc, a = w dt / 2 (numpy's sinc has pi in it), so arcs are exact.
-            chord = v * np.sinc(w * dt / (2 * np.pi))
             middle = before[:, 2] + w * dt / 2
-            rows[:, 3], rows[:, 4], rows[:, 5] = chord * np.cos(middle), chord * np.sin(middle), w
-            batch.set_space_bodies(self.space, _ROW, self._to_space)
-            self._touched.clear()
-            self.space.step(dt)
-            self._from_space.clear()
-            batch.get_space_bodies(self.space, _ROW, self._from_space)
-            self._rows[:] = np.frombuffer(self._from_space.float_buf()).reshape(-1, 6)
+            rows[:, 3] = chord * np.cos(middle)
+            rows[:, 4] = chord * np.sin(middle)
+            rows[:, 5] = w
+            self._step_space(dt)
             if self._touched:
                 rows[self._touched, :3] = before[self._touched]
-                v[self._touched] = w[self._touched] = 0
+                chord[self._touched] = 0
+                w[self._touched] = 0
                 hit[self._touched] = True
         rows[:, 2] = wrap_angle(rows[:, 2])
         return hit
 
-    def range_readings(self, angles, max_range):
-        """(R, len(angles)) distances [m] from each robot's centre to the first wall, at most
-        max_range [m], along rays at those angles [rad] from its heading (paper IV-C)."""
-        readings = np.full((len(self.scenes), len(angles)), float(max_range))
-        for r, (x, y, theta) in enumerate(self._rows[:-1, :3]):
-            for k, angle in enumerate(angles):
-                way = math.cos(theta + angle), math.sin(theta + angle)
-                end = x + max_range * way[0], y + max_range * way[1]
-                hit = self.space.segment_query_first((x, y), end, 0, _ROBOTS)
-                readings[r, k] *= hit.alpha if hit else 1
-        return readings
+    def _step_space(self, dt):
+        """Lets pymunk move all bodies for dt [s]. `_touched` then holds the robots that hit."""
+        batch.set_space_bodies(self.space, ROW, self._to_space)
+        self._touched.clear()
+        self.space.step(dt)
+        self._from_space.clear()
+        batch.get_space_bodies(self.space, ROW, self._from_space)
+        self._rows[:] = np.frombuffer(self._from_space.float_buf()).reshape(-1, 6)

@@ -5,38 +5,29 @@ leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.pn
 summary.json.
 """
 
-import atexit
-import json
-import os
+import copy
 import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass
-from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import torch
-from torch import distributed
 from tqdm import tqdm
 
-from command_line import CommandLine, option
-from evaluate import Policy, evaluate, report
-from model import BLANKS, MEMORIES, REWARD_SCALE, Network
-from navbot_min import NavVecEnv
-from pictures import draw_curves
-from ppo import Collector, update
-from runs import RunFolder
-from scene_file import load_scene
+import scenes as scene_files
+from model import BLANKS, MEMORIES, REWARD_SCALE, make_network
+from navbot_min import ARRIVAL, OUTCOMES, NavVecEnv
+from ppo import Collector, Episode, update
 from sim import SceneError
+from support.command_line import CommandLine, option
+from support.processes import check_run, join_processes
+from support.run_folder import NoFolder, RunFolder, new_folder
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
-FINAL_STD = 0.2  # of the initial deviations, when a run uses all its steps, our choice
-FADE = 0.15  # share of the steps, the last ones, in which the deviations shrink to it, our choice
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
-
-# Which of how many processes this is: `torchrun --nproc-per-node 2 train.py` starts two.
-RANK, PROCESSES = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+FINAL_STD = 0.2  # of the initial standard deviations, when a run uses all its steps, our choice
+ANNEALING = 0.15  # share of the steps, the last ones, in which they shrink to it, our choice
 
 
 @dataclass
@@ -67,152 +58,205 @@ class Config:
 class Record:
     """What happened so far: every episode, and the success rates that Algorithm 1 looks at."""
 
-    def __init__(self, scene):
-        self.scene, self.episodes, self.steps = scene, [], 0
-        self._last = {kind: deque(maxlen=WINDOW) for kind in ("training", "new")}
+    def __init__(self, scenes):
+        """scenes: the scene of each of the environment's scenes; of a mirrored one the true one."""
+        self.scenes = scenes
+        self.steps = 0
+        self.episodes = []  # rows of episodes.csv
+        self._last = {"training": deque(maxlen=WINDOW), "new": deque(maxlen=WINDOW)}
 
     def add(self, info):
         """Adds an episode; returns its row of episodes.csv, where a target of the mirrored room is
         named by its place in the true one."""
-        kind = "new" if info["new"] else "training"
-        x, y = self.scene.targets[info["target"]]
-        row = {"steps": self.steps, "target_x": x.item(), "target_y": y.item(), "kind": kind}
-        row |= {key: info[key] for key in ("outcome", "return", "length")}
-        self.episodes.append(row)
-        self._last[kind].append(info["outcome"] == "arrival")
+        x, y = self.scenes[info["scene"]].targets[info["target_index"]]
+        row = {"steps": self.steps, "target_x": x.item(), "target_y": y.item(),
+               "kind": "new" if info["new"] else "training",
+               "outcome": OUTCOMES[info["outcome"]],
+               "return": info["return"], "length": info["length"]}
+        self._append(row)
         return row
+
+    def _append(self, row):
+        self.episodes.append(row)
+        self._last[row["kind"]].append(row["outcome"] == OUTCOMES[ARRIVAL])
 
     def success(self, kind):
         """Success rate of the last 100 episodes of that kind; None before the first."""
-        return sum(self._last[kind]) / len(self._last[kind]) if self._last[kind] else None
+        last = self._last[kind]
+        return sum(last) / len(last) if last else None
 
     def rates(self):
         """Both success rates, as the progress bar shows them."""
-        return {f"{kind} targets": f"{self.success(kind):.0%}" for kind in self._last
-                if self._last[kind]}
+        return {f"{kind} targets": f"{self.success(kind):.0%}"
+                for kind, last in self._last.items() if last}
 
     def rule_is_met(self):
         """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
         return len(self._last["new"]) == WINDOW and self.success("new") > SUCCESS_RATE
 
+    def state(self):
+        """All that was recorded."""
+        return {"steps": self.steps, "episodes": [dict(row) for row in self.episodes]}
 
-def gather(mine):
-    """What every process has, in the order of their ranks."""
-    everyone = [mine] * PROCESSES
-    if PROCESSES > 1:
-        distributed.all_gather_object(everyone, mine)
-    return everyone
+    def load_state(self, state):
+        """Goes on from a state."""
+        self.__init__(self.scenes)
+        self.steps = state["steps"]
+        for row in state["episodes"]:
+            self._append(dict(row))
 
 
-def train(config, scene, folder):
-    """Algorithm 1. Returns the model and the summary so far; what happened is in the folder.
+class Training:
+    """All that changes while a policy learns, in one place: network, optimiser, collector, record,
+    buffer and random generators. `train` only steps it."""
 
-    Several processes share the robots and the episodes of an update. All record the same and so
-    stop at the same step; one of them has a folder and writes, the others have None.
+    def __init__(self, config, scenes, processes):
+        """scenes: a list of Scenes. processes: support.processes, which share robots and episodes:
+        all hold the same weights and record, each has robots and random numbers of its own."""
+        self.config = config
+        self.processes = processes
+        self.model = make_network(config.seed, config.memory, config.without).to(config.device)
+        self.optimizer = torch.optim.Adam(self.model.parameters(), config.learning_rate, eps=1e-5,
+                                          fused=True)
+        self.rng = np.random.default_rng([config.seed, processes.rank])  # shuffles
+        action_seed = int(self.rng.integers(2 ** 31))
+        env_seed = int(self.rng.integers(2 ** 31))
+        R = config.robots // processes.count
+        true_scenes = [scenes[r % len(scenes)] for r in range(R)]
+        self.env = self.make_env(scenes, R)
+        self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
+        self.record = Record(true_scenes)
+        self.buffer = []  # episodes to training targets since the last update
+        self.buffer_is_full = False  # whether every process has its share of N episodes
+
+    def make_env(self, scenes, R):
+        """The environment. The last robots drive in the mirrored rooms, where they only train."""
+        mirrors = [scene.mirrored() for scene in scenes]
+        in_mirror = int(R * self.config.mirrored)
+        rooms = [scenes[r % len(scenes)] for r in range(R - in_mirror)]
+        rooms += [mirrors[r % len(scenes)] for r in range(R - in_mirror, R)]
+        return NavVecEnv(R, rooms, "both", self.config.random_starts)
+
+    def is_over(self):
+        """Whether the steps are used up, or the paper's rule stops the run."""
+        return self.record.steps >= self.config.steps or self.stopped_by_rule()
+
+    def stopped_by_rule(self):
+        """Whether the paper's rule stops the run."""
+        return self.record.rule_is_met() and not self.config.fixed_budget
+
+    def collect(self):
+        """One step of all robots. Stores the episodes to training targets that it ended, and
+        returns the infos of all that it ended, in all processes."""
+        self.record.steps += self.config.robots
+        ended = self.collector.step()
+        for episode, info in ended:
+            if not info["new"]:  # what happens on the way to a new target is never learnt from
+                self.buffer.append(episode)
+        everyone = self.processes.gather(([info for _, info in ended], len(self.buffer)))
+        share = self.config.episodes_per_update // self.processes.count
+        self.buffer_is_full = min(stored for _, stored in everyone) >= share
+        return [info for infos, _ in everyone for info in infos]
+
+    def learn(self):
+        """One update by the episodes in the buffer, which it empties. Returns its statistics.
+
+        The learning rate shrinks linearly to 0 with the steps that are left, and in the last part
+        of them so does the standard deviation of the actions, to FINAL_STD.
+        """
+        left = max(1 - self.record.steps / self.config.steps, 0)
+        self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * left
+        statistics = update(self.model, self.optimizer, self.buffer, self.config, self.rng,
+                            self.processes)
+        self.model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1))
+        self.buffer.clear()
+        self.buffer_is_full = False
+        return statistics
+
+    def state(self):
+        """All that changes, for `load_state`: tensors, arrays, numbers and text alone."""
+        return {"model": copy.deepcopy(self.model.state_dict()),
+                "optimizer": copy.deepcopy(self.optimizer.state_dict()),
+                "rng": self.rng.bit_generator.state,
+                "collector": self.collector.state(), "record": self.record.state(),
+                "buffer": [dict(episode.__dict__) for episode in self.buffer]}
+
+    def load_state(self, state):
+        """Goes on from a state of a training with the same config and scenes, exactly."""
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(copy.deepcopy(state["optimizer"]))
+        self.rng.bit_generator.state = state["rng"]
+        self.collector.load_state(state["collector"])
+        self.record.load_state(state["record"])
+        self.buffer = [Episode(**fields) for fields in state["buffer"]]
+
+
+def train(training, folder):
+    """Algorithm 1, in our words; `training` holds what changes, `folder` gets what happened.
+
+     1  begin with random weights and an empty buffer
+     2  repeat:
+     3      draw a target from the set P, training and new targets together
+     4      if it is a training target:
+     5          drive to the episode's end, and store the episode in the buffer
+     6          if the buffer holds N episodes:
+     7              compute their advantages
+     8              learn from them for K epochs by Eq. (3), and empty the buffer
+     9      else:
+    10          drive to the episode's end, and record only whether the robot arrived
+    11          if more than r of the last 100 of these arrived: stop
+
+    Here R robots do so side by side, a step at a time. Returns how long it took [s].
     """
-    torch.manual_seed(config.seed)
-    model = Network(config.memory, config.without).to(config.device)
-    rng = np.random.default_rng([config.seed, RANK])  # weights are the same, dice each has its own
-    torch.manual_seed(rng.integers(2 ** 31))
-    optimizer = torch.optim.Adam(model.parameters(), config.learning_rate, eps=1e-5, fused=True)
-    R = config.robots // PROCESSES
-    mirrored = int(R * config.mirrored)  # of them: they only train, the tests are in the true room
-    rooms = [scene] * (R - mirrored) + [scene.mirrored()] * mirrored
-    env = NavVecEnv(R, rooms, "both", config.random_starts)  # line 3 of Algorithm 1: P
-    collector = Collector(env, model, REWARD_SCALE, int(rng.integers(2 ** 31)))
-    record, buffer, start = Record(scene), [], time.perf_counter()
-
-    def stops():
-        return record.rule_is_met() and not config.fixed_budget
-    bar = tqdm(total=config.steps, unit=" steps", mininterval=0.5, disable=RANK > 0)
+    record = training.record
+    begin = time.perf_counter()
+    bar = tqdm(total=training.config.steps, unit=" steps", mininterval=0.5,
+               disable=training.processes.rank > 0)
     try:
-        while record.steps < config.steps and not stops():
-            record.steps += config.robots
-            bar.update(config.robots)
-            ended = collector.step()  # what happens on the way to a new target is never learnt from
-            buffer += [episode for episode, info in ended if not info["new"]]
-            infos, stored = zip(*gather(([info for _, info in ended], len(buffer))))
-            for info in chain(*infos):
-                if not stops():
-                    row = record.add(info)
-                    folder and folder.add_row("episodes.csv", row)
-            if not stops() and min(stored) >= config.episodes_per_update // PROCESSES:
-                left = max(1 - record.steps / config.steps, 0)
-                optimizer.param_groups[0]["lr"] = config.learning_rate * left
-                statistics = update(model, optimizer, buffer, config, rng)
-                model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / FADE, 1))
-                buffer.clear()
-                speed = round(record.steps / (time.perf_counter() - start), 1)
-                folder and folder.add_row("updates.csv", {"steps": record.steps, **statistics,
-                                                          "steps_per_second": speed})
+        while not training.is_over():  # line 2
+            ended = training.collect()  # lines 3, 5, 10
+            bar.update(training.config.robots)
+            for info in ended:
+                if not training.stopped_by_rule():
+                    folder.add_row("episodes.csv", record.add(info))  # lines 4, 9, 10
+            if not training.stopped_by_rule() and training.buffer_is_full:  # lines 11, 6
+                statistics = training.learn()  # lines 7, 8
+                speed = round(record.steps / (time.perf_counter() - begin), 1)
+                folder.add_row("updates.csv", {"steps": record.steps, **statistics,
+                                               "steps_per_second": speed})
                 bar.set_postfix(record.rates())
     except KeyboardInterrupt:
         bar.write("interrupted: training ends here, and its policy is evaluated", file=sys.stderr)
-    seconds = time.perf_counter() - start
     bar.set_postfix(record.rates())
     bar.close()
-    return model, record, {
-        "env": scene.name, "seed": config.seed, "steps": record.steps,
-        "episodes": len(record.episodes), "seconds": round(seconds, 2),
-        "stopped_by_rule": stops(), "rolling_new_success": record.success("new"),
-        "frozen": None}
-
-
-def read_config(argv):
-    """The configuration from the command line, checked; and the parser, for later errors."""
-    parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
-    config = parser.read(Config, argv)
-    if RANK == 0 and config.out and Path(config.out).exists():
-        parser.error(f"--out '{config.out}' exists already, it must name a new folder")
-    N = config.episodes_per_update
-    for flag, value in (("robots", config.robots), ("episodes-per-update", N)):
-        if value % PROCESSES:
-            parser.error(f"--{flag} is {value}, it must be a multiple of the {PROCESSES} processes")
-    if config.minibatches > N // PROCESSES:
-        parser.error(f"--minibatches is {config.minibatches}, it must be at most {N // PROCESSES}, "
-                     "the episodes of an update")
-    if config.device == "cuda" and not torch.cuda.is_available():
-        parser.error("--device is cuda, but torch finds no such GPU here; it must be cpu")
-    return config, parser
+    return time.perf_counter() - begin
 
 
 def main(argv=None):
     """The command line: train, save, evaluate the frozen policy, summarise."""
-    config, parser = read_config(argv)
-    if config.device == "cuda":
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
-    if PROCESSES > 1:
-        distributed.init_process_group()
-        atexit.register(distributed.destroy_process_group)  # else its threads may abort the exit
+    parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
+    config = parser.read(Config, argv)
+    check_run(config, parser)
     try:
-        scene = load_scene(config.env)
-        if RANK > 0:
-            return train(config, scene, None)
-        folder = RunFolder(config.out, f"runs/{scene.name}-seed{config.seed}", asdict(config))
+        scenes = [scene_files.load(config.env)]
+        processes = join_processes(config.device)
+        training = Training(config, scenes, processes)
+        if processes.rank > 0:  # the first process writes for all
+            train(training, NoFolder())
+            return
+        default = f"runs/{scenes[0].name}-seed{config.seed}"
+        folder = RunFolder(config.out or new_folder(default), asdict(config))
     except (SceneError, OSError) as error:
         parser.error(error)
-    messages = sys.stderr if config.json else sys.stdout
-    print(f"run folder: {folder.path}", file=messages)
-    model, record, summary = train(config, scene, folder)
-    folder.save_model(model, scene)
-    curves = draw_curves(record.episodes, scene.name, SUCCESS_RATE)
-    folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))
-    folder.write("summary.json", json.dumps(summary, indent=2))
-    print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
-    try:
-        sampled, mean = (Policy(model, actions, config.seed) for actions in ("sampled", "mean"))
-        n, seed = config.evaluation_episodes, config.seed
-        summary["frozen"] = evaluate(sampled, scene, n, seed=seed)[0]
-        by_mean = evaluate(mean, scene, 1)[0]  # from one start, each episode would be the same
-    except KeyboardInterrupt:
-        sys.exit("interrupted: the run is saved without its evaluation")
-    for target, mean in zip(summary["frozen"]["targets"], by_mean["targets"]):
-        target["mean_action_arrives"] = mean["success"] == 1
-    folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
-    folder.write("summary.json", json.dumps(summary, indent=2))
-    print(report(summary), file=messages)
-    if config.json:
-        print(json.dumps(summary, indent=2))
+    print(f"run folder: {folder.path}", file=sys.stderr if config.json else sys.stdout)
+    seconds = train(training, folder)
+    record = training.record
+    summary = {"env": scenes[0].name, "seed": config.seed, "steps": record.steps,
+               "episodes": len(record.episodes), "seconds": round(seconds, 2),
+               "stopped_by_rule": training.stopped_by_rule(),
+               "rolling_new_success": record.success("new"), "frozen": None}
+    from evaluation.after_training import finish  # the lesson can do without, up to here
+    finish(folder, training.model, scenes, record.episodes, summary, config, SUCCESS_RATE)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,150 @@
+"""The command line: `python -m evaluation runs/env1-seed0` examines a run's frozen policy,
+`python -m evaluation --planner bug` a planner.
+
+It prints what it measures, and writes it as `evaluation.json`, with the driven paths as
+`trajectories.png`, success by place as `floor.png`, and one episode as `episode.gif`: into the
+run's folder, else into a folder of `evaluations`.
+"""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import scenes
+from evaluation.drivers import Planned, Policy
+from evaluation.examine import conditions, evaluate, film_episode, table
+from evaluation.planners import PLANNERS
+from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS, protocol_scenes
+from sim import SceneError
+from support.command_line import CommandLine, option
+from support.film import write_film
+from support.pictures import draw_floor, draw_trajectories
+from support.run_folder import RunError, load_run, write
+
+MOST_DRAWN = 4  # scenes of a run whose paths are drawn
+
+
+@dataclass
+class Options:
+    """An evaluation."""
+    planner: str = option("", "a planner instead of a run", choices=["", *PLANNERS])
+    env: str = option("", "carry the policy into another room: a scene's name or path")
+    protocol: str = option("start", "where episodes start and lead", choices=list(PROTOCOLS))
+    hide: str = option("", "what the policy is not shown of its target: its place, its cube, both",
+                       choices=HIDDEN)
+    episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
+    seed: int = option(0, "of every random number", 0)
+    json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
+
+
+@dataclass
+class Examination:
+    """Who is examined where, and where the results go."""
+    name: str
+    driver: object
+    actions: str  # as evaluation.json names them
+    scenes: list  # of Scenes, without what a protocol changes
+    folder: Path
+    suffix: str  # of the files' names
+
+
+def prepare(run, options):
+    """The Examination of a run, a folder or a .pt file, or where that is None of a planner. Raises
+    RunError, SceneError."""
+    if run is None:
+        chosen = [scenes.load("env1")]
+        actions = options.planner
+        driver = Planned(options.planner, options.seed)
+        name = options.planner
+    else:
+        model, chosen = load_run(run)
+        # From the one start pose all episodes of deterministic actions would be the same.
+        actions = "sampled" if options.protocol in ("start", "validation") else "mean"
+        driver = Policy(model, actions, options.seed)
+        name = run.stem
+    if options.env:
+        chosen = [scenes.load(options.env)]
+    protocol_scenes(options.protocol, chosen)  # whatever it raises, before anything is driven
+    place = f"-{chosen[0].name}" if options.env or run is None else ""
+    suffix = "" if options.protocol == "start" else f"-{options.protocol}"
+    if options.hide:
+        suffix += f"-hidden-{options.hide}"
+    folder = Path("evaluations") / (name + place)
+    if run is not None and run.is_dir():
+        folder = run
+        suffix = place + suffix
+    return Examination(name, driver, actions, chosen, folder, suffix)
+
+
+def heading(examined, options):
+    """The line above the printed table: who, where, how, and where the files are."""
+    who = examined.driver.label if options.planner else f"{examined.name}, {examined.driver.label}"
+    rooms = ", ".join(scene.name for scene in examined.scenes[:MOST_DRAWN])
+    if len(examined.scenes) > MOST_DRAWN:
+        rooms += f" and {len(examined.scenes) - MOST_DRAWN} more"
+    return (f"{who}, in {rooms}, {conditions(options.protocol, options.hide)}; files in "
+            f"{examined.folder}")
+
+
+def draw(examined, traces, options):
+    """Writes the pictures of an evaluation, of its first scenes where there are many."""
+    for scene in examined.scenes[:MOST_DRAWN]:
+        here = [trace for trace in traces if trace.scene.boxes == scene.boxes]
+        figures = {"trajectories": draw_trajectories(scene, here)}
+        if options.protocol in ("anywhere", "validation"):
+            figures["floor"] = draw_floor(scene, here, PATCH)
+        which = f"-{scene.name}" if len(examined.scenes) > 1 else ""
+        for picture, figure in figures.items():
+            path = examined.folder / f"{picture}{examined.suffix}{which}.png"
+            write(path, partial(figure.savefig, dpi=110))
+
+
+def film(examined, options):
+    """Writes a film of one more episode by the same protocol, in the first scene."""
+    scene = examined.scenes[0]
+    trace = film_episode(examined.driver, scene, options.protocol, options.seed, options.hide)
+    trace = replace(trace, scene=scene)  # in which a validation target is no new target
+    write(examined.folder / f"episode{examined.suffix}.gif", partial(write_film, trace))
+
+
+def read_command_line(argv):
+    """The run, a path or None, the Options, and the parser, for later errors."""
+    parser = CommandLine("Evaluate a frozen policy, or a planner, on fresh episodes.")
+    parser.usage = "python -m evaluation [RUN] [options]"
+    argv = sys.argv[1:] if argv is None else list(argv)
+    run = None
+    if argv and not argv[0].startswith("-"):
+        run = Path(argv.pop(0))
+    options = parser.read(Options, argv)
+    if (run is None) == (options.planner == ""):
+        parser.error("give either a run (a folder or a .pt file) or --planner")
+    if options.hide and options.planner:
+        parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
+                     "told their target's position")
+    return run, options, parser
+
+
+def main(argv=None):
+    """The command line: evaluate, print, write the evaluation, its pictures and its film."""
+    run, options, parser = read_command_line(argv)
+    try:
+        examined = prepare(run, options)
+        examined.folder.mkdir(parents=True, exist_ok=True)
+    except (RunError, SceneError, OSError) as error:
+        parser.error(error)
+    try:
+        result, traces = evaluate(examined.driver, examined.scenes, options.episodes,
+                                  options.protocol, options.seed, examined.actions, options.hide)
+        text = json.dumps(result, indent=2)
+        write(examined.folder / f"evaluation{examined.suffix}.json", text)
+        print(text if options.json else f"{heading(examined, options)}\n{table(result)}")
+        draw(examined, traces, options)
+        film(examined, options)
+    except KeyboardInterrupt:
+        sys.exit("interrupted: the files that are written are whole")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""What a training leaves when it is over: weights, curves, the frozen policy's evaluation, and a
+summary, in its run folder and on the screen."""
+
+import json
+import sys
+
+from evaluation.drivers import Policy
+from evaluation.examine import evaluate, report
+from support.pictures import draw_curves
+from support.run_folder import save_model
+
+
+def finish(folder, model, scenes, episodes, summary, config, stop_rate):
+    """Saves the run, evaluates its policy and completes the summary, whose `frozen` is still None.
+
+    episodes: rows of episodes.csv. config: has `seed`, `evaluation_episodes` and `json`.
+    """
+    save_model(folder.path / "model.pt", model, scenes)
+    curves = draw_curves(episodes, summary["env"], stop_rate)
+    folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))
+    folder.write("summary.json", json.dumps(summary, indent=2))
+    print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
+    try:
+        summary["frozen"] = evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed)
+    except KeyboardInterrupt:
+        sys.exit("interrupted: the run is saved without its evaluation")
+    folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
+    folder.write("summary.json", json.dumps(summary, indent=2))
+    print(report(summary), file=sys.stderr if config.json else sys.stdout)
+    if config.json:
+        print(json.dumps(summary, indent=2))
+
+
+def evaluate_frozen(model, scenes, episodes, seed):
+    """What `evaluation.json` holds: fresh episodes with sampled actions, as in training, and
+    whether the deterministic (mean) action arrives: from one start pose each episode is the same.
+    """
+    frozen, _ = evaluate(Policy(model, "sampled", seed), scenes, episodes, seed=seed)
+    by_mean, _ = evaluate(Policy(model, "mean", seed), scenes, 1)
+    for target, mean in zip(frozen["targets"], by_mean["targets"]):
+        target["mean_action_arrives"] = mean["success"] == 1
+    return frozen

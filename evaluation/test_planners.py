@@ -1,0 +1,110 @@
+"""Each test is the shortest proof of one claim about the planners, most against a slow search."""
+
+import math
+
+import networkx
+import numpy as np
+import pytest
+
+import scenes
+from evaluation import Planned, assign, evaluate, rollouts
+from evaluation.planners import PRM, Bug, visibility_graph
+from scenes.test_scenes import box, square_room
+from sim import ROBOT_RADIUS, World
+
+ENV1 = scenes.load("env1")
+ENV2 = scenes.load("env2")
+EIGHT_WAYS = [(1, 0), (0, 1), (1, 1), (1, -1), (-1, 0), (0, -1), (-1, -1), (-1, 1)]
+
+
+def grid_graph(cells):
+    """The graph of a set of cells (i, j) joined eight ways, edges as long as they are in cells."""
+    graph = networkx.Graph()
+    for i, j in cells:
+        for di, dj in EIGHT_WAYS:
+            if (i + di, j + dj) in cells:
+                graph.add_edge((i, j), (i + di, j + dj), weight=math.hypot(di, dj))
+    return graph
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
+def test_shortest_paths_lie_between_the_straight_line_and_the_grids(scene):
+    rng = np.random.default_rng(0)
+    roadmap = visibility_graph(scene)
+    cell = 0.025
+    first = scene.reachable[0]  # the reachable cells as pairs of whole numbers, from this one on
+    cells = [tuple(ij) for ij in np.round((scene.reachable - first) / cell).astype(int).tolist()]
+    start = rng.integers(len(cells))
+    grid = networkx.single_source_dijkstra_path_length(grid_graph(set(cells)), cells[start])
+    a = tuple(scene.reachable[start])
+    bent = 0
+    for end in rng.integers(len(cells), size=25):
+        b = tuple(scene.reachable[end])
+        _, there = roadmap.path(a, b, within=1e-6)
+        _, back = roadmap.path(b, a, within=1e-6)
+        straight = math.dist(a, b)
+        assert there == pytest.approx(back, abs=1e-4) and there >= straight - 1e-4
+        assert there <= cell * grid[cells[end]] + 0.01
+        assert there == pytest.approx(straight, abs=1e-4) or not roadmap.free(a, b)
+        bent += there > straight + 0.01
+    assert bent > 5
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
+def test_a_path_is_as_long_as_it_says_and_free_and_ends_where_the_robot_has_arrived(scene):
+    roadmap = PRM.prepare(scene, np.random.default_rng(0))
+    for target in scene.targets:
+        points, length = roadmap.path(scene.start[:2], target, within=0.1)
+        corners = np.array([scene.start[:2], *points])
+        assert length == pytest.approx(sum(map(math.dist, corners, corners[1:])))
+        assert 0.0999 < math.dist(corners[-1], target) < 0.1
+        for a, b in zip(corners, corners[1:]):
+            assert scene.clearance(np.linspace(a, b, 500)).min() > ROBOT_RADIUS - 1e-6
+
+
+def test_no_path_leads_into_a_closed_chamber():
+    walls = [box(x=1.0, y=0.0, length=0.1, thickness=3.9)]
+    scene = scenes.parse(square_room(extra=walls, training_targets=[[-1.0, 0.5]],
+                                     new_targets=[[-1.0, -1.0]]), "room")
+    assert visibility_graph(scene).path((0.0, 0.0), (1.5, 0.0)) == (None, math.inf)
+
+
+@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
+@pytest.mark.parametrize("protocol, episodes", [("start", 1), ("anywhere", 40)])
+def test_the_oracle_reaches_every_target_by_the_shortest_path(scene, protocol, episodes):
+    result, traces = evaluate(Planned("oracle", 0), [scene], episodes, protocol)
+    for row in result["targets"] or [result["anywhere"]]:
+        assert row["success"] == 1 and row["spl"] > 0.9
+    for trace in traces:
+        assert trace.metres > math.dist(trace.goal, trace.start[:2]) - 0.2
+
+
+@pytest.mark.parametrize("name", ["prm", "dstar"])
+def test_planners_with_a_map_or_making_one_reach_every_target_of_env1(name):
+    result, _ = evaluate(Planned(name, 0), [ENV1], 1)
+    assert all(target["success"] == 1 and target["spl"] > 0.7 for target in result["targets"])
+
+
+def test_bug_drives_an_arc_that_ends_at_its_next_point():
+    room = scenes.parse(square_room(), "room")
+    world = World([room])
+    bug = Bug(room, None, None)
+    for bearing in np.linspace(-0.19, 0.19, 9):
+        pose = np.array([0.2, -0.1, 2.5])
+        bug.begin(pose, (1.0, 1.0))
+        bug.step = pose[:2] + 0.11 * np.array([math.cos(2.5 + bearing), math.sin(2.5 + bearing)])
+        point = bug.step
+        world.place([0], [pose])
+        world.drive([bug.act(pose, None)])
+        assert world.poses[0, :2] == pytest.approx(point, abs=1e-3) and bug.step is None
+
+
+@pytest.mark.parametrize("name, empty, blocked", [
+    ("straight", "arrival", "collision"), ("bug", "arrival", "arrival"),
+    ("braitenberg", "arrival", None), ("random", None, None)])
+def test_reflexes_do_what_they_can(name, empty, blocked):
+    for extra, expected in (([], empty), ([box(x=0.9, y=0.0, length=0.2, thickness=0.8)], blocked)):
+        table = square_room(extra=extra, start=dict(x=0.0, y=0.0, heading_degrees=60),
+                            training_targets=[[1.6, 0.0]])
+        [trace] = rollouts(Planned(name, 0), assign(scenes.parse(table, "room"), 0, 1))
+        assert expected in (None, trace.outcome)
