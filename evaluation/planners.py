@@ -274,9 +274,11 @@ class DStar(Planner):
 
         The first part holds the distance to the robot, which moves. Keys that are in the queue
         already would all have to sink by that move; instead `km` lifts those that are added later.
+        Rounded: along a straight way keys tie, and what sums of floats add must not part them.
         """
         least = min(self.g[s], self.rhs[s])
-        return least + math.dist(self.start, s) + self.km, least
+        first = least + math.dist(self.start, s) + self.km
+        return round(first, 6), round(least, 6)
 
     def _neighbours(self, s):
         """The eight cells around, each with the cost [cells] of the step: inf into or out of a

@@ -8,9 +8,10 @@ import pytest
 
 import scenes
 from evaluation import Planned, assign, evaluate, rollouts
-from evaluation.planners import PRM, Bug, visibility_graph
+from evaluation.planners import ANGLES, PRM, RANGE, Bug, DStar, visibility_graph
 from scenes.test_scenes import box, square_room
 from sim import ROBOT_RADIUS, World
+from support.ranges import range_readings
 
 ENV1 = scenes.load("env1")
 ENV2 = scenes.load("env2")
@@ -83,6 +84,28 @@ def test_the_oracle_reaches_every_target_by_the_shortest_path(scene, protocol, e
 def test_planners_with_a_map_or_making_one_reach_every_target_of_env1(name):
     result, _ = evaluate(Planned(name, 0), [ENV1], 1)
     assert all(target["success"] == 1 and target["spl"] > 0.7 for target in result["targets"])
+
+
+def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
+    """In a room where the shorter way around a wall turns out to be closed by a second wall."""
+    walls = [box(x=0.0, y=0.0, length=0.1, thickness=1.2), box(x=0.6, y=0.7, thickness=1.6)]
+    table = square_room(half=1.5, extra=walls, start=dict(x=-0.7, y=0.1, heading_degrees=0),
+                        training_targets=[[1.1, 0.8]], new_targets=[])
+    scene = scenes.parse(table, "room")
+    world = World([scene])
+    planner = DStar(scene, None, None)
+    planner.begin(world.poses[0], scene.targets[0])
+    grid = grid_graph({(i, j) for i in range(-40, 41) for j in range(-40, 41)})
+    costs = []
+    while planner.start != planner.target:
+        [pose] = world.poses
+        [readings] = range_readings(world, ANGLES, RANGE)
+        world.drive([planner.act(pose, readings)])
+        free = grid.subgraph(set(grid) - planner.blocked)
+        scratch = networkx.dijkstra_path_length(free, planner.start, planner.target)
+        assert planner.g[planner.start] == pytest.approx(scratch)
+        costs.append(scratch)
+    assert max(np.diff(costs)) > 5  # [cells] that the second wall added
 
 
 def test_bug_drives_an_arc_that_ends_at_its_next_point():
