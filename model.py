@@ -39,8 +39,9 @@ def orthogonal(layer, gain=1.0):
 def make_cnn():
     """The CNN of Fig. 2: (B, 3, H, W) colours -> (B, FEATURES).
 
-    Kernels are (height, width), padding makes the sizes those of Fig. 2. Where that asks for a
-    single row it is the upper one: the lower one of the two that are given is never read.
+    Kernels are (height, width), padding makes the sizes those of Fig. 2. The second and the third
+    convolution need one row of padding; torch pads both sides, and the stride never gets to the
+    lower one.
     """
     cnn = nn.Sequential(
         orthogonal(nn.Conv2d(3, 32, (6, 8), stride=4, padding=(1, 2)), RELU_GAIN),  # (32, 12, 16)
@@ -59,10 +60,11 @@ def make_cnn():
 class Memory(nn.Module):
     """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything.
 
-    The LSTM has one input more, 1 at steps that are no steps of an episode. It shuts all gates for
-    good: the memory is zero after such a step, and no gradient passes. So episodes can lie end to
-    end in one row, a step apart, and none knows of the one before it. torch's packed sequences cost
-    1.0 to 2.2 times as much a minibatch, and plain padding 1.0 to 1.8 times (docs/code.md).
+    The LSTM has one input more, which is 1 at the steps that part two episodes. It shuts all gates:
+    the memory is zero after such a step. So episodes can lie end to end in one row, and none knows
+    of the one before it. No gradient passes a shut gate, so the weights that shut it never change.
+    torch's packed sequences cost 1.0 to 2.2 times as much a minibatch, and plain padding 1.0 to 1.8
+    times (docs/code.md).
     """
 
     def __init__(self, inputs, recurrent):
@@ -160,7 +162,8 @@ class Network(nn.Module):
         (M, T), memory after them, Eq. (1).
 
         observations: `target` (M, T, 2), `velocity` (M, T, 2), `last_reward` (M, T, 1), and `image`
-        (M, T, H, W, 3), or with a mask (B, H, W, 3), those of the real steps alone.
+        (M, T, H, W, 3), or with a mask (B, H, W, 3), those of the real steps alone. Without a mask
+        all steps are real.
         state: (M, layers, 2, HIDDEN).
         mask: (M, T) bool, false where a step is no step of an episode; it clears the memory.
         """

@@ -3,6 +3,9 @@
 `NavVecEnv` runs R robots at once and is the thing itself; `NavEnv` is one robot. Both are Gymnasium
 environments. `python navbot_min.py --env env1` drives one robot by a simple rule and draws it.
 
+Where a number comes from stands behind it: 'paper' is the publication, with its section; 'released'
+are the authors' simulator, script and settings, which say what the paper does not (docs/paper.md).
+
 Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
 
@@ -62,8 +65,8 @@ class NavVecEnv(VectorEnv):
     commands that led there. When episodes end, `infos["final_obs"]` holds the last observations
     (R, ...), and `infos["final_info"]` the `outcome` (index into OUTCOMES), `return`, `length`,
     `target_index` (into the scene's targets), `new` (whether that is a new target) and `scene`,
-    (R,) each. As in all of Gymnasium, the mask of the robots that they are about has the same name
-    after a `_`.
+    (R,) each; `observations` is then the next episode's already. As in all of Gymnasium there is a
+    mask of the same name after a `_`: whether the entry of robot r counts.
 
     A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`.
     """
@@ -135,6 +138,7 @@ class NavVecEnv(VectorEnv):
         """Starts a new episode for those robots, (n,) indices. Returns what they see."""
         for r in robots:
             scene = self.world.scenes[r]
+            # What `reset` was asked for stands above what was drawn; mostly nothing was.
             episode = checks.asked_episode(self.sample_episode(r), options, r, scene)
             self._target[r], self.goals[r], self.starts[r] = episode
             if self._screens:
@@ -194,6 +198,7 @@ class NavVecEnv(VectorEnv):
         ended = np.flatnonzero(terminated | truncated)
         if len(ended):
             outcome = np.where(arrived, ARRIVAL, np.where(hit, COLLISION, TIMEOUT))
+            # First how they fared: beginning the next episodes clears it.
             infos |= self._final_infos(terminated | truncated, outcome, observations)
             for key, first in self._begin(ended, {}).items():
                 observations[key][ended] = first
@@ -242,8 +247,9 @@ class NavEnv(gym.Env):
     """One robot: `NavVecEnv` with R = 1, the robots' axis taken off, and no autoreset.
 
     `info` holds the episode's figures at every step, as the last `final_info` of NavVecEnv does.
-    `outcome` is what it is if the episode ends there: a time limit that is a wrapper's is not known
-    here. By `gymnasium.make("navbot_min:NavBot-env1-v0")` the limit is such a one, 200 steps.
+    Until an arrival or a collision its `outcome` is timeout: by
+    `gymnasium.make("navbot_min:NavBot-env1-v0")` the time limit, 200 steps, is that of a wrapper,
+    and whether it ends the episode is not known here.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}

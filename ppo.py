@@ -4,8 +4,8 @@ The letters are those of the formulas and of the code alike: r ratio, A advantag
 lam (lambda) of GAE, eps clip range. Axis letters: R robots, T steps of an episode, M rows of a
 minibatch, B its real steps, N episodes of an update, K epochs.
 
-There is no entropy bonus: the policy's standard deviation is a parameter of its own, learnt from a
-large value down, and the robot explores by it for as long as that pays.
+There is no entropy bonus: the policy's standard deviation is a parameter of its own, which starts
+large and shrinks as fast as that pays. Towards the end of a run `train.py` limits it.
 """
 
 from dataclasses import dataclass
@@ -96,6 +96,7 @@ class Collector:
         robots = np.flatnonzero(truncated)
         if len(robots):
             final = {key: value[robots] for key, value in infos["final_obs"].items()}
+            # Of an action only its value is wanted here.
             _, _, _, last_values, _ = self.model.act(final, self._memory[robots], self.generator)
             values[robots] = last_values.numpy()
         return values
@@ -137,13 +138,14 @@ def advantages(rewards, values, last_value, gamma, lam):
 
 
 def pack_rows(lengths):
-    """Rows of a minibatch: lists of episodes, as indices into `lengths`, that lie end to end, one
-    step between two, in rows as long as the longest episode.
+    """Rows of a minibatch: lists of episodes, as indices into `lengths`, that lie end to end, and a
+    step after each that parts it from the next, in rows as long as the longest one.
 
-    First fit, the longest first, so that hardly a step of a minibatch is padding.
+    The longest first, each into the first row that has room. So about a fifth of the steps is
+    padding, where an episode a row would have two fifths (docs/code.md).
     """
     rows = []
-    free = []  # steps that are left in each row, the one that parts episodes included
+    free = []  # steps that are left in each row
     for k in np.argsort(lengths)[::-1]:
         row = next((row for row, room in enumerate(free) if room > lengths[k]), len(rows))
         if row == len(rows):  # it fits nowhere
@@ -174,6 +176,7 @@ def make_minibatch(episodes, batch_advantages, device=None):
             "actions": pack([episode.actions for episode in episodes]),
             "log_probs": pack([episode.log_probs for episode in episodes]),
             "advantages": pack(batch_advantages),
+            # What the values should have foretold: a return is A + V, by the definition of A.
             "returns": pack([A + e.values for A, e in zip(batch_advantages, episodes)]),
             "mask": pack([torch.ones(len(e), dtype=torch.bool) for e in episodes])}
 
@@ -225,7 +228,7 @@ def update(model, optimizer, episodes, config, rng, processes):
         shuffled = rng.permutation(len(episodes))
         for chosen in np.array_split(shuffled, config.minibatches):
             batch = make_minibatch([episodes[k] for k in chosen], [A[k] for k in chosen], device)
-            batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)
+            batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)  # padding too: unused
             policy_loss, value_loss, statistics = losses(model, batch, config.clip)
             optimizer.zero_grad()
             (policy_loss + VALUE_WEIGHT * value_loss).backward()
@@ -235,7 +238,8 @@ def update(model, optimizer, episodes, config, rng, processes):
             for name, value in statistics.items():
                 history.setdefault(name, []).append(value.item())
     statistics = {name: float(np.mean(values)) for name, values in history.items()}
-    errors = torch.cat(A)  # of the values, whose variance is what they did not foretell
+    # 1 where the values foretold the returns, 0 where they knew nothing of them.
+    errors = torch.cat(A)
     returns = errors + torch.cat([episode.values for episode in episodes])
     statistics["explained_variance"] = float(1 - errors.var() / returns.var())
     return statistics

@@ -35,8 +35,9 @@ PERIOD = 48  # texels after which a texture repeats along a wall, 1.2 m
 BLOCK = 64  # images that are painted at once, few enough to stay in the cache
 
 # A texture column is what one column of the camera can show of a wall: floor before the wall's
-# foot, the wall, sky over its top. So many texels below and above the foot are all that a column
-# can show up to FAR, so that no lookup needs to be clipped.
+# foot, the wall, sky over its top. At FAR the lowest and the highest ray are 8 m x 0.42 = 3.4 m, or
+# 136 texels, from the height of the eye, which is 11 texels above the foot. So 125 texels below the
+# foot and 147 above it are all that can be seen, and with more of them no lookup needs clipping.
 BELOW = 128
 ABOVE = 160
 COLUMN = BELOW + ABOVE
@@ -109,8 +110,9 @@ class Camera:
         texel."""
         most_boxes = max(len(scene.boxes) for scene in scenes)
         shape = (len(scenes), most_boxes, 4)  # four faces a box
-        self._corners = np.zeros(shape, np.complex64)  # boxes that a room lacks have no size,
-        self._tops = np.zeros(shape, np.float32)  # and a face without size is never seen
+        # Boxes that a room lacks have no size, and a face without size is never seen.
+        self._corners = np.zeros(shape, np.complex64)
+        self._tops = np.zeros(shape, np.float32)
         self._texture = np.zeros(shape, np.int64)  # where a face's texture starts in the palette
         textures = {}  # (material, height [texel], brightness) -> its number
         for i, scene in enumerate(scenes):
@@ -175,8 +177,9 @@ class Camera:
         cross = (p.conj() * q).imag  # negative where the outside is seen; p is left then, q right
         ahead = p.real > NEAR / 2
         slope = p.imag / np.where(ahead, p.real, 1)
-        left = np.where(ahead, slope, np.inf)  # a corner behind the camera is out of view
-        right = np.where(ahead, slope, -np.inf)[:, :, (1, 2, 3, 0)]  # on its side
+        # A corner behind the camera is out of view, on its side.
+        left = np.where(ahead, slope, np.inf)
+        right = np.where(ahead, slope, -np.inf)[:, :, (1, 2, 3, 0)]
         visible = (cross < -1e-6) & (ahead | ahead[:, :, (1, 2, 3, 0)])
         visible &= (left >= SLOPE[-1]) & (right <= SLOPE[0])
         robot, box, side = np.nonzero(visible)
@@ -186,8 +189,9 @@ class Camera:
         # (z, s z) lies on the line through p and q where z (along_y - s along_x) = cross.
         a = along.imag / cross
         b = -along.real / cross
-        along /= TEXEL * np.abs(along)  # of length 1, in texels
-        start = (along.conj() * p).real  # u = along . (z, s z) - start
+        # With the unit vector along the face, over a texel's size: u = along . (z, s z) - start.
+        along /= TEXEL * np.abs(along)
+        start = (along.conj() * p).real  # along . p
         scene = scene_of[robot]
         faces = Faces(a=np.append(np.float32(1 / FAR), a),
                       b=np.append(np.float32(0), b),
@@ -198,8 +202,8 @@ class Camera:
         return faces, robot, left[robot, box, side], right[robot, box, side]
 
     def _sort_by_image(self, faces, robot, left, right, R):
-        """What each of R images may show: `inverse` (R W, K), the inverse depth of K faces in each
-        column, 0 where its ray misses one, and `face_in` (R, K), which faces these are."""
+        """What each of R images may show: `inverse` (R * W, K), the inverse depth of K faces in
+        each column, 0 where its ray misses one, and `face_in` (R, K), which faces these are."""
         a = faces.a[1:, None]
         b = faces.b[1:, None]
         # Both ends count as seen, so that there is no gap at a corner.
@@ -236,8 +240,9 @@ class Camera:
         return index, z.reshape(R, W), face.reshape(R, W)
 
     def _paint_above(self, index, faces, inverse, face_in, depth, face):
-        """Second phase: over the top of a low face the next higher one behind it shows, and so on
-        to the highest. Paints over `index`, the rows above the horizon, in place."""
+        """Second phase: over the top of a face shows the nearest one that is higher, and over its
+        top the nearest that is higher still. Paints over `index`, the rows above the horizon, in
+        place. Each turn is over the columns (C,) that have such a face; these become fewer."""
         rows = np.arange(H // 2)[:, None]  # those that look up
         pixels = index.reshape(-1)
         column = np.arange(depth.size)  # of all images; columns that are done drop out
@@ -288,5 +293,5 @@ class Camera:
         on_top = (DROP * far >= to_top) & (DROP * near < to_top)
         on_side = (DROP * near >= to_top) & (DROP * near < np.float32(CAMERA_HEIGHT))
         colour = np.where(on_top, 0, side[robot, column][:, None])
-        index[robots[robot], :, column] = np.where(
+        index[robots[robot], :, column] = np.where(  # (columns with a cube, H)
             on_top | on_side, self._cube[colour], index[robots[robot], :, column])

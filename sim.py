@@ -25,7 +25,8 @@ CONTROL_PERIOD = 0.4  # [s] one command, our choice
 SUBSTEPS = 4  # physics steps of one command, our choice
 CELL = 0.025  # [m] grid on which a room's reachable floor is found, our choice
 FAR_ENOUGH = 1.0  # [m] from a start drawn at random to its target, our choice
-ROBOTS_PER_COPY = 32  # pymunk pairs all robots that overlap, so a crowd gets rooms of its own
+ROBOTS_PER_COPY = 32  # pymunk looks at every pair of robots that overlap before it ignores it,
+#   so a crowd gets several copies of its room
 
 ROBOT_FILTER = pymunk.ShapeFilter(group=1)  # shapes of one group neither touch nor see each other
 ROBOT_TYPE = 1  # collision types of pymunk
@@ -88,7 +89,7 @@ class Scene:
         is, so its images are the flipped ones in another light."""
         x, y, theta = self.start
         boxes = tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes)
-        targets = tuple((-x, y) for x, y in self.training_targets)
+        targets = tuple((-target_x, target_y) for target_x, target_y in self.training_targets)
         return Scene(self.name, boxes, (-x, y, math.pi - theta), targets, ())
 
     def clearance(self, points):
@@ -237,7 +238,7 @@ class World:
         commands = np.array(commands, dtype=float)
         v = commands[:, 0]
         w = commands[:, 1]
-        rows = self._rows[:-1]
+        rows = self._rows[:-1]  # a view: what pymunk moves shows here
         dt = CONTROL_PERIOD / SUBSTEPS
         hit = np.zeros(len(rows), dtype=bool)
         # The arc is exact. Its chord points along the heading at half time, and is sin(a) / a as

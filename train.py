@@ -130,7 +130,8 @@ class Training:
         self.buffer_is_full = False  # whether every process has its share of N episodes
 
     def make_env(self, scenes, R):
-        """The environment. The last robots drive in the mirrored rooms, where they only train."""
+        """The environment. The last robots drive in mirrored rooms, which have no new targets, so
+        there they only train. Robot r's room is a picture of `scenes[r % len(scenes)]` always."""
         mirrors = [scene.mirrored() for scene in scenes]
         in_mirror = int(R * self.config.mirrored)
         rooms = [scenes[r % len(scenes)] for r in range(R - in_mirror)]
@@ -146,8 +147,8 @@ class Training:
         return self.record.rule_is_met() and not self.config.fixed_budget
 
     def collect(self):
-        """One step of all robots. Stores the episodes to training targets that it ended, and
-        returns the infos of all that it ended, in all processes."""
+        """One step of all robots. Stores the episodes to training targets that it ended (lines 4
+        and 5 of Algorithm 1), and returns the infos of all that it ended, in all processes."""
         self.record.steps += self.config.robots
         ended = self.collector.step()
         for episode, info in ended:
@@ -214,12 +215,12 @@ def train(training, folder):
                disable=training.processes.rank > 0)
     try:
         while not training.is_over():  # line 2
-            ended = training.collect()  # lines 3, 5, 10
+            ended = training.collect()  # lines 3, 4, 5
             bar.update(training.config.robots)
-            for info in ended:
+            for info in ended:  # several robots may end at one step: nothing counts after the stop
                 if not training.stopped_by_rule():
-                    folder.add_row("episodes.csv", record.add(info))  # lines 4, 9, 10
-            if not training.stopped_by_rule() and training.buffer_is_full:  # lines 11, 6
+                    folder.add_row("episodes.csv", record.add(info))  # lines 9, 10
+            if training.buffer_is_full and not training.stopped_by_rule():  # lines 6, 11
                 statistics = training.learn()  # lines 7, 8
                 speed = round(record.steps / (time.perf_counter() - begin), 1)
                 folder.add_row("updates.csv", {"steps": record.steps, **statistics,

@@ -121,7 +121,7 @@ def report(summary):
     why = "by the paper's rule" if summary["stopped_by_rule"] else "before the paper's rule was met"
     rolling = "no episode"
     if summary["rolling_new_success"] is not None:
-        rolling = f"{summary['rolling_new_success']:.0%} of the last 100 episodes"
+        rolling = f"{summary['rolling_new_success']:.0%} of the last episodes, 100 at most"
     new = summary["frozen"]["new"]
     success = "there are none"
     if new is not None:

@@ -419,6 +419,8 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(saved, tmp_pa
     main(["run", "--episodes", "6", "--hide", "cube"])
     hidden = json.loads(Path("run/evaluation-hidden-cube.json").read_text())
     assert (written["hidden"], hidden["hidden"]) == ("", "cube")
+    elsewhere = json.loads(Path("run/evaluation-env2-anywhere.json").read_text())
+    assert (written["actions"], elsewhere["actions"]) == ("sampled", "mean")
     kinds = ("evaluation", "trajectories", "episode")
     suffixes = dict(zip(kinds, (".json", ".png", ".gif")))
     names = {f"{kind}{middle}{suffixes[kind]}" for kind in kinds

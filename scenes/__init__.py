@@ -43,6 +43,8 @@ def load(name_or_path):
     path = SCENE_FOLDER / f"{name_or_path}.toml"
     if not path.is_file():
         path = Path(name_or_path)
+    if not path.is_file() and path.suffix:
+        raise SceneError(f"scene file '{name_or_path}' does not exist")
     if not path.is_file():
         raise SceneError(f"unknown scene '{name_or_path}': it must be one of {', '.join(names())}, "
                          "or a scene file's path")

@@ -1,4 +1,4 @@
-"""Run folders: the files of one training run, none overwritten, none left half-written; and both
+"""Run folders: the files of one training run, in a new folder, none left half-written; and both
 ends of the format of its weights, `save_model` and `load_run`."""
 
 import csv
