@@ -17,9 +17,11 @@ import render
 import scenes
 from evaluation import Assignment, Policy, rollouts
 from model import Memory, Network
-from navbot_min import NavVecEnv, polar_targets
+from navbot_min import (ARRIVAL_REWARD, COLLISION_REWARD, MAX_EPISODE_STEPS, PROGRESS_REWARD,
+                        STEP_COST, NavVecEnv, polar_targets)
 from ppo import pack_rows
-from sim import CAMERA_HEIGHT, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY, ROBOT_RADIUS
+from sim import (ARRIVAL_DISTANCE, CAMERA_HEIGHT, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY,
+                 MAX_LINEAR_VELOCITY, ROBOT_RADIUS)
 from support.command_line import CommandLine
 from support.pictures import PALETTE, WIDTH, draw_robot, draw_room, draw_target
 from support.run_folder import load_run
@@ -155,8 +157,8 @@ def draw_network(image):
           (0.72, low))
     note(axes, 0.36, 3.08, f"{cnn[-1][2][0]} features", ha="left")
     for x, size in ((0.85, first_in[0]), (3.3, second_in[0])):
-        block(axes, x, low, 0.26, 0.42, "", "layer")
-        note(axes, x, low, "+", fontsize=12)
+        block(axes, x, low, 0.26, 0.62, "", "layer")
+        note(axes, x, low, "join", rotation=90)
         note(axes, x + 0.46, low + 0.07, str(size), va="bottom")
     for x, words, size in ((2.1, "LSTM", first_out[0]), (4.55, "LSTM", second_out[0]),
                            (6.0, "dense", dense[0])):
@@ -181,22 +183,27 @@ def draw_inputs(axes, y, target, last):
     block(axes, 1.0, 0.85, 1.5, 0.62, f"target: {target}\ndistance, bearing", "input")
     block(axes, 2.7, 0.85, 1.5, 0.62, f"last velocity: {velocity}\nlinear, angular", "input")
     block(axes, 4.25, 0.85, 1.3, 0.62, f"last reward: {last - velocity}", "input")
-    arrow(axes, (0.85, 1.16), (0.85, y - 0.21))
-    arrow(axes, (2.7, 1.16), (2.7, 1.45), (3.22, 1.45), (3.22, y - 0.21))
-    arrow(axes, (4.25, 1.16), (4.25, 1.45), (3.38, 1.45), (3.38, y - 0.21))
-    note(axes, 0.25, 0.25, "+ puts values side by side; the image, too, is an input.", ha="left")
+    arrow(axes, (0.85, 1.16), (0.85, y - 0.31))
+    arrow(axes, (2.7, 1.16), (2.7, 1.4), (3.22, 1.4), (3.22, y - 0.31))
+    arrow(axes, (4.25, 1.16), (4.25, 1.4), (3.38, 1.4), (3.38, y - 0.31))
+    note(axes, 0.25, 0.25, "join: values side by side. The image, too, is an input.", ha="left")
 
 
 def draw_heads(axes, y, actions, values):
-    """What leaves the network: means of so many velocities, and so many values."""
+    """What leaves the network: means of so many velocities, and so many values; and the standard
+    deviations, which nothing enters."""
     assert (actions, values) == (2, 1)
-    middle = 7.9
-    heads = ((y + 0.68, "linear velocity\nsigmoid, 0 to 1"), (y, "angular velocity\ntanh, -1 to 1"),
-             (y - 0.92, "value\nfor training"))
+    middle = 7.95
+    heads = ((y + 0.6, f"linear: sigmoid, 0 to 1\nof {MAX_LINEAR_VELOCITY:g} m/s"),
+             (y, f"angular: tanh, -1 to 1\nof {MAX_ANGULAR_VELOCITY:g} rad/s"),
+             (y - 1.42, "value head: 1\nfor training alone"))
     for height, words in heads:
-        block(axes, middle, height, 1.5, 0.5, words, "output")
-        arrow(axes, (6.46, y), (6.8, y), (6.8, height), (7.15, height))
-    note(axes, middle, y - 0.42, "means of a Gaussian", va="bottom")
+        block(axes, middle, height, 1.8, 0.5, words, "output")
+        arrow(axes, (6.46, y), (6.75, y), (6.75, height), (7.05, height))
+    words = f"{actions} parameters of their\nown, no input"
+    block(axes, middle, y - 0.75, 1.8, 0.5, words, "layer")
+    note(axes, middle, y + 0.9, "velocities: means of a Gaussian", va="bottom")
+    note(axes, middle, y - 0.47, "its standard deviations", va="bottom")
 
 
 # -------------------------------------------------------------------------------------- the loop
@@ -220,6 +227,15 @@ def draw_loop():
         note(axes, x, y + 0.28, name, fontsize=10, weight="bold")
         note(axes, x, y, words, fontsize=NORMAL)
         note(axes, x, y - 0.29, file, family="monospace")
+    draw_what_is_carried(axes, top, low, config.episodes_per_update)
+    note(axes, 0.25, 0.4, f"Training stops when more than {SUCCESS_RATE:.0%} of the last {WINDOW} "
+         "episodes to new targets arrived.", ha="left", fontsize=NORMAL)
+    return figure
+
+
+def draw_what_is_carried(axes, top, low, N):
+    """The loop's arrows between its upper and its lower boxes, and what each carries. N: episodes
+    of an update."""
     arrow(axes, (2.45, top + 0.25), (4.1, top + 0.25))
     note(axes, 3.28, top + 0.31, "observations, rewards,\nends of episodes", va="bottom")
     arrow(axes, (4.1, top - 0.25), (2.45, top - 0.25))
@@ -227,20 +243,19 @@ def draw_loop():
     arrow(axes, (5.9, top), (7.0, top))
     note(axes, 6.45, top + 0.07, "episodes to\ntraining targets", va="bottom")
     arrow(axes, (7.9, top - 0.55), (7.9, low + 0.55))
-    note(axes, 7.8, (top + low) / 2, f"$N$ = {config.episodes_per_update} episodes,\n"
+    note(axes, 7.8, (top + low) / 2, f"$N$ = {N} episodes,\n"
          "then it is emptied", ha="right")
     arrow(axes, (7.0, low), (5.9, low))
     note(axes, 6.45, low + 0.07, "new weights", va="bottom")
-    arrow(axes, (5.3, low + 0.55), (5.3, top - 0.55))
-    note(axes, 5.38, (top + low) / 2, "actions,\nvalues", ha="left")
-    arrow(axes, (4.5, top - 0.55), (4.5, (top + low) / 2), (1.35, (top + low) / 2),
+    arrow(axes, (5.15, top - 0.55), (5.15, low + 0.55))
+    note(axes, 5.07, (top + low) / 2 - 0.35, "observations", ha="right")
+    arrow(axes, (5.55, low + 0.55), (5.55, top - 0.55))
+    note(axes, 5.63, (top + low) / 2, "actions,\nvalues", ha="left")
+    arrow(axes, (4.4, top - 0.55), (4.4, (top + low) / 2), (1.35, (top + low) / 2),
           (1.35, low + 0.55))
-    note(axes, 2.93, (top + low) / 2 - 0.07, "outcomes of all episodes; those to\nnew targets go "
+    note(axes, 2.8, (top + low) / 2 - 0.07, "outcomes of all episodes; those to\nnew targets go "
          "nowhere else", va="top")
     arrow(axes, (1.35, low - 0.55), (1.35, 0.55))
-    note(axes, 0.25, 0.4, f"Training stops when more than {SUCCESS_RATE:.0%} of the last {WINDOW} "
-         "episodes to new targets arrived.", ha="left", fontsize=NORMAL)
-    return figure
 
 
 # ------------------------------------------------------------------------------------ the camera
@@ -253,6 +268,7 @@ def draw_above(axes):
     slope = -0.12
     along = q - p
     z = (p[0] * q[1] - p[1] * q[0]) / (along[1] - slope * along[0])
+    aside = 0.09 * np.array((-along[1], along[0])) / np.hypot(*along)  # off the wall
     half = render.W / 2 / render.FOCAL  # of the view, at a depth of 1 m
     axes.add_patch(Polygon([(0, 0), (1.1, 1.1 * half), (2.1, 1.1 * half), (2.1, -1.1 * half),
                             (1.1, -1.1 * half)], fc="#f2f2f2", ec="none"))
@@ -262,11 +278,13 @@ def draw_above(axes):
     axes.plot([0, z], [0, slope * z], color=INK, lw=1.4)
     axes.plot([z, z], [0, slope * z], color=INK, lw=0.8, ls=":")
     axes.plot([z, 0], [slope * z, 0], "o", color=INK, ms=5)
+    arrow(axes, p + aside, (z, slope * z) + aside, style="<|-|>", lw=0.8)
     style = {"fontsize": NORMAL, "ha": "center", "va": "center"}
     axes.text(-render.CAMERA_OFFSET, ROBOT_RADIUS + 0.08, "robot", **style)
     axes.text(-0.05, -0.09, "eye", **(style | {"ha": "right"}))
     axes.text(2.1, 0.08, "optical axis", **(style | {"ha": "right"}))
-    axes.text(*(p + (0.1, 0.05)), "$p$", **style)
+    axes.text(*(p + (-0.1, 0.03)), "$p$", **style)
+    axes.text(*((p + (z, slope * z)) / 2 + 1.9 * aside), "$u$", **style)
     axes.text(*(q + (0.1, 0.0)), "$q$", **style)
     axes.text(z + 0.09, slope * z - 0.04, "$(z,\\ s z)$", **(style | {"ha": "left", "va": "top"}))
     axes.text(0.8, -0.17, "ray of a column,\nslope $s$", **(style | {"va": "top"}))
@@ -306,14 +324,14 @@ def draw_aside(axes):
     return z, top
 
 
-def inverse_depths(scene, pose):
+def nearest_faces(scene, pose):
     """Of each column of the image at that pose, by intersecting its ray with every box's edges:
-    1 / depth [1/m] of the nearest (W,), and which (box, edge) that is, a list."""
+    1/z [1/m] (W,) of the nearest, u/z [texel/m] (W,), and which (box, edge) that is, a list."""
     x, y, theta = pose
     heading = np.array((math.cos(theta), math.sin(theta)))
     left = np.array((-heading[1], heading[0]))
     eye = (x, y) + render.CAMERA_OFFSET * heading
-    best, which = np.zeros(render.W), [None] * render.W
+    inverse, far_along, which = np.zeros(render.W), np.zeros(render.W), [None] * render.W
     for b, box in enumerate(scene.boxes):
         for k in range(4):
             p, q = ((corner - eye) @ np.stack([heading, left], -1)
@@ -324,57 +342,68 @@ def inverse_depths(scene, pose):
                     continue
                 along = (slope * p[0] - p[1]) / across  # 0 at p, 1 at q
                 depth = p[0] + along * (q[0] - p[0])
-                if 0 <= along <= 1 and depth > render.NEAR and 1 / depth > best[column]:
-                    best[column], which[column] = 1 / depth, (b, k)
-    return best, which
+                if 0 <= along <= 1 and depth > render.NEAR and 1 / depth > inverse[column]:
+                    inverse[column] = 1 / depth
+                    far_along[column] = along * np.hypot(*(q - p)) / render.TEXEL / depth
+                    which[column] = (b, k)
+    return inverse, far_along, which
 
 
-def draw_columns(picture, graph, scene, pose):
-    """A real image, and below it the inverse depth of each of its columns: a line for each face."""
+def draw_faces(graph, scene, values, which):
+    """Values of each column (W,) over the columns: a line for each face, (box, edge), of `which`.
+    """
+    for face in dict.fromkeys(which):
+        chosen = [column for column in range(render.W) if which[column] == face]
+        material = scene.boxes[face[0]].material
+        graph.plot(chosen, values[chosen], color=PALETTE[material], lw=4, solid_capstyle="butt",
+                   label=material)
+        graph.plot(chosen, values[chosen], ".", color=INK, ms=3)
+    graph.set(ylim=(0, 1.15 * values.max()), xticks=(0, 16, 32, 48, 63))
+    graph.grid(alpha=0.3)
+
+
+def draw_columns(picture, above, below, scene, pose):
+    """A real image, and below it what is a straight line over the columns of each face."""
     far = scene.targets[0] + 1000  # [m] out of sight
     image = render.Camera([scene]).render(np.array([0]), np.array([pose]), far[None])[0]
-    columns = np.arange(render.W)
     picture.imshow(image, extent=(-0.5, render.W - 0.5, render.H - 0.5, -0.5), aspect="auto",
                    interpolation="nearest")
     picture.set(yticks=(0, 23.5, 47), yticklabels=("0", "horizon", "47"), ylabel="row")
-    picture.set_title("what it makes of a room: in 1/z every face is a straight line", fontsize=10,
-                      weight="bold")
-    best, which = inverse_depths(scene, pose)
-    for face in dict.fromkeys(which):
-        chosen = [column for column in columns if which[column] == face]
-        material = scene.boxes[face[0]].material
-        graph.plot(chosen, best[chosen], color=PALETTE[material], lw=4, solid_capstyle="butt",
-                   label=material)
-        graph.plot(chosen, best[chosen], ".", color=INK, ms=3)
-    graph.set(xlim=(-0.5, render.W - 0.5), ylim=(0, 1.15 * best.max()), xlabel="column",
-              ylabel="$1/z$ [1/m]", xticks=(0, 16, 32, 48, 63))
-    graph.grid(alpha=0.3)
-    handles = dict(zip(*reversed(graph.get_legend_handles_labels())))
-    graph.legend(handles.values(), handles, frameon=False, loc="lower center", ncols=3,
+    picture.set_title("what the camera makes of a room (stretched sideways), and the lines of its "
+                      "faces", fontsize=10, weight="bold")
+    inverse, far_along, which = nearest_faces(scene, pose)
+    draw_faces(above, scene, inverse, which)
+    draw_faces(below, scene, far_along, which)
+    above.set(ylabel="$1/z$\n[1/m]")
+    below.set(ylabel="$u/z$\n[texel/m]", xlabel="column")
+    handles = dict(zip(*reversed(above.get_legend_handles_labels())))
+    above.legend(handles.values(), handles, frameon=False, loc="lower center", ncols=3,
                  fontsize=SMALL)
-    picture.tick_params(labelbottom=False)
+    for axes in (picture, above):
+        axes.tick_params(labelbottom=False)
 
 
 def draw_camera(scene, pose):
     """The camera's geometry from above and from the side, and what it makes of a real room.
     Returns a Figure."""
-    figure = Figure(figsize=(WIDTH, 6.6))
-    draw_above(figure.add_axes((0.01, 0.61, 0.51, 0.34)))
-    z, top = draw_aside(figure.add_axes((0.53, 0.61, 0.47, 0.34)))
+    figure = Figure(figsize=(WIDTH, 7.9))
+    draw_above(figure.add_axes((0.01, 0.675, 0.51, 0.285)))
+    z, top = draw_aside(figure.add_axes((0.53, 0.675, 0.47, 0.285)))
     for x, words in ((0.265, "from above"), (0.76, "from the side")):
-        figure.text(x, 0.965, words, fontsize=10, weight="bold", ha="center")
+        figure.text(x, 0.97, words, fontsize=10, weight="bold", ha="center")
     style = {"fontsize": NORMAL, "ha": "center", "va": "top", "linespacing": 1.5}
-    figure.text(0.265, 0.595, "The wall from $p$ to $q$ is a straight line, so\n$1/z = a + b\\,s$, "
-                "$\\ a = d_y / c$, $\\ b = -d_x / c$,\n$d = q - p$, $\\ c = p_x q_y - p_y q_x$.",
-                **style)
+    figure.text(0.265, 0.665, "The wall from $p$ to $q$ is a straight line, so\n$1/z = a + b\\,s$, "
+                "$\\ a = d_y / c$, $\\ b = -d_x / c$,\n$d = q - p$, $\\ c = p_x q_y - p_y q_x$.\n"
+                "$u$ [texel] is how far along it: $u/z = e + f\\,s$.", **style)
     foot, over = ((CAMERA_HEIGHT - height) / z * render.FOCAL + render.H / 2 for height in (0, top))
-    figure.text(0.76, 0.595, f"Foot at row ${render.H // 2} + {CAMERA_HEIGHT}\\,f/z$, "
+    figure.text(0.76, 0.665, f"Foot at row ${render.H // 2} + {CAMERA_HEIGHT}\\,f/z$, "
                 f"top at row ${render.H // 2} + ({CAMERA_HEIGHT} - h)\\,f/z$.\n"
                 f"Here $z$ = {z} m and $h$ = {top} m: rows {foot:.1f} and {over:.1f},\n"
                 "counted from the image's upper edge.", **style)
-    picture = figure.add_axes((0.1, 0.245, 0.88, 0.195))
-    graph = figure.add_axes((0.1, 0.075, 0.88, 0.15), sharex=picture)
-    draw_columns(picture, graph, scene, pose)
+    picture = figure.add_axes((0.1, 0.34, 0.88, 0.165))
+    above = figure.add_axes((0.1, 0.2, 0.88, 0.125), sharex=picture)
+    below = figure.add_axes((0.1, 0.06, 0.88, 0.125), sharex=picture)
+    draw_columns(picture, above, below, scene, pose)
     return figure
 
 
@@ -431,11 +460,11 @@ def draw_packing(lengths):
 
 def draw_task(trace):
     """The task in one picture: the room, a path through it, three views, what goes in and comes
-    out. trace: has images. Returns a Figure."""
-    figure = Figure(figsize=(WIDTH, 5.4))
+    out, what is paid, when it ends. trace: has images. Returns a Figure."""
+    figure, page = sheet(6.8)
     scene, T = trace.scene, len(trace.commands)
-    moments = [0, T // 2, int(0.85 * T)]
-    axes = figure.add_axes((0.065, 0.45, 0.6, 0.5))
+    moments = [0, int(0.4 * T), int(0.85 * T)]
+    axes = figure.add_axes((0.065, 0.565, 0.6, 0.395))
     draw_room(axes, scene)
     axes.plot(*trace.poses[:, :2].T, color=INK, lw=1.6, alpha=0.6)
     draw_target(axes, scene, trace.goal, ring=True)
@@ -443,15 +472,16 @@ def draw_task(trace):
     for name, t in zip("123", moments):
         draw_robot(axes, trace.poses[t])
         note(axes, *trace.poses[t, :2] + np.array((0, 0.32)), name, fontsize=10, weight="bold")
-    axes.set_title("from above: a new target in the ring, and one path to it", fontsize=10,
+    axes.set_title("from above: one path to a new target (green, in the ring)", fontsize=10,
                    weight="bold")
     for k, (name, t) in enumerate(zip("123", moments)):
-        view = figure.add_axes((0.7, 0.695 - 0.305 * k, 0.27, 0.255))
-        view.imshow(trace.images[t], interpolation="nearest", aspect="auto")
+        view = figure.add_axes((0.71, 0.7 - 0.3 * k, 0.27, 0.26))
+        view.imshow(trace.images[t], interpolation="nearest")
         view.set_title(f"the camera at {name}", fontsize=10, weight="bold", pad=3)
         view.axis("off")
-    figure.text(0.835, 0.065, "its target is a blue cube", fontsize=NORMAL, ha="center", va="top")
-    draw_inputs_and_outputs(figure, trace, moments[1])
+    note(page, 7.6, 0.6, "to the camera every target\nis a blue cube", fontsize=NORMAL, va="top")
+    draw_inputs_and_outputs(page, trace, moments[1])
+    draw_pay_and_end(page)
     return figure
 
 
@@ -459,20 +489,17 @@ def draw_polar(axes, trace, t):
     """Distance and bearing of the target from the robot at step t of the trace."""
     x, y, theta = trace.poses[t]
     (distance, bearing), = polar_targets(trace.poses[t:t + 1], trace.goal[None])
-    axes.plot([x, trace.goal[0]], [y, trace.goal[1]], color=INK, lw=0.9, ls=":")
+    axes.plot([x, trace.goal[0]], [y, trace.goal[1]], color=INK, lw=1.1, ls="--")
     ahead = np.array((math.cos(theta), math.sin(theta)))
     axes.plot(*np.transpose([(x, y), (x, y) + 0.85 * ahead]), color=INK, lw=0.9)
     first, last = sorted((math.degrees(theta), math.degrees(theta + bearing)))
     axes.add_patch(Arc((x, y), 1.1, 1.1, theta1=first, theta2=last, color=INK, lw=0.9))
-    note(axes, x - 0.6, y + 0.16, "bearing", ha="right")
-    note(axes, *(trace.poses[t, :2] + trace.goal) / 2 + (0.1, 0.1), "distance", ha="left")
+    note(axes, x - 0.5, y - 0.45, "bearing")
+    note(axes, *(trace.poses[t, :2] + trace.goal) / 2 + (-0.05, 0.12), "distance", ha="left")
 
 
-def draw_inputs_and_outputs(figure, trace, t):
+def draw_inputs_and_outputs(axes, trace, t):
     """The four inputs and two outputs of the policy, with their values at step t of the trace."""
-    axes = figure.add_axes((0, 0, 0.69, 0.37))
-    axes.set(xlim=(0, 6.2), ylim=(0, 2.0))
-    axes.axis("off")
     (distance, bearing), = polar_targets(trace.poses[t:t + 1], trace.goal[None])
     v, w = trace.commands[t - 1]
     lines = (f"image: {render.W}x{render.H} pixels, RGB",
@@ -480,17 +507,30 @@ def draw_inputs_and_outputs(figure, trace, t):
              f"last velocity: {v:.2f} m/s, {w:+.2f} rad/s",
              f"last reward: {trace.rewards[t - 1]:.1f}")
     for k, line in enumerate(lines):
-        block(axes, 1.67, 1.54 - 0.42 * k, 3.1, 0.34, line, "input")
-        arrow(axes, (3.22, 1.54 - 0.42 * k), (3.58, 0.91 + 0.09 * (1.5 - k)))
-    block(axes, 3.94, 0.91, 0.72, 0.8, "policy", "memory")
+        block(axes, 1.67, 2.89 - 0.42 * k, 3.1, 0.34, line, "input")
+        arrow(axes, (3.22, 2.89 - 0.42 * k), (3.58, 2.26 + 0.09 * (1.5 - k)))
+    block(axes, 3.94, 2.26, 0.72, 0.8, "policy", "memory")
     v, w = trace.commands[t]
     turn = MAX_ANGULAR_VELOCITY
-    for y, line in ((1.27, f"linear velocity\n{v:.2f} m/s (0 to {MAX_LINEAR_VELOCITY})"),
-                    (0.55, f"angular velocity\n{w:+.2f} rad/s (-{turn:g} to {turn:g})")):
+    for y, line in ((2.62, f"linear velocity\n{v:.2f} m/s (0 to {MAX_LINEAR_VELOCITY})"),
+                    (1.9, f"angular velocity\n{w:+.2f} rad/s (-{turn:g} to {turn:g})")):
         block(axes, 5.4, y, 1.56, 0.52, line, "output")
-        arrow(axes, (4.3, 0.91 + 0.15 * np.sign(y - 0.91)), (4.62, y))
-    note(axes, 1.67, 1.84, "what goes in, at 2", fontsize=10, weight="bold")
-    note(axes, 5.4, 1.84, "what comes out", fontsize=10, weight="bold")
+        arrow(axes, (4.3, 2.26 + 0.15 * np.sign(y - 2.26)), (4.62, y))
+    note(axes, 1.67, 3.19, "what goes in, at 2", fontsize=10, weight="bold")
+    note(axes, 5.4, 3.19, "what comes out", fontsize=10, weight="bold")
+
+
+def draw_pay_and_end(axes):
+    """What the robot is paid for a step, and when its episode ends."""
+    block(axes, 1.67, 0.6, 3.1, 0.86, f"at an arrival: {ARRIVAL_REWARD:+g}\n"
+          f"at a collision: {COLLISION_REWARD:+g}\n"
+          f"else: {PROGRESS_REWARD:g} per metre nearer, less {STEP_COST:g}", "layer")
+    block(axes, 4.78, 0.6, 2.8, 0.86, f"arrival: within {ARRIVAL_DISTANCE} m of the target\n"
+          "collision: it touches a wall or box\n"
+          f"timeout: after {MAX_EPISODE_STEPS * CONTROL_PERIOD:g} s", "layer")
+    note(axes, 1.67, 1.2, f"what it is paid for a step of {CONTROL_PERIOD} s", fontsize=10,
+         weight="bold")
+    note(axes, 4.78, 1.2, "when its episode ends", fontsize=10, weight="bold")
 
 
 # --------------------------------------------------------------------------------- what is drawn

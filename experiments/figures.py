@@ -31,9 +31,10 @@ DPI = 130
 
 ENVS = ("env1", "env2")
 WAYS = {  # to train: the name of each, and the mark of its frozen policies
-    "one-start": ("one start pose", {"marker": "s", "ms": 5, "ls": "none"}),
+    "one-start": ("one start pose", {"marker": "s", "ms": 6, "ls": "none", "mfc": "none"}),
     "varied": ("starts anywhere, and mirrored",
-               {"marker": "o", "ms": 9, "ls": "none", "mfc": "none", "mew": 1.5})}
+               {"marker": "o", "ms": 7, "ls": "none", "mfc": "none"})}
+BESIDE = {"one-start": 1.03, "varied": 1.07}  # budgets: where its frozen policies are drawn
 SEEDS = "01234"
 HIDDEN = {"": "nothing hidden", "place": "place hidden", "cube": "cube hidden"}
 HIDDEN_EPISODES = 8  # of each panel of `draw_hidden`
@@ -48,10 +49,30 @@ def select(rows, **values):
     return [row for row in rows if all(row[key] == value for key, value in values.items())]
 
 
-def way_handles(lw=1.5):
+def way_handles():
     """A legend's entries for the ways to train."""
-    return [Line2D([], [], color=PALETTE[way], lw=lw, label=name)
+    return [Line2D([], [], color=PALETTE[way], lw=1.5, label=name)
             for way, (name, _) in WAYS.items()]
+
+
+def draw_training(axes, curves, seeds, env):
+    """Draws one panel of `draw_memorizing_reasoning`. The frozen policies stand beside the curves,
+    each way's apart, so that none hides the other's."""
+    for way, (_, mark) in WAYS.items():
+        for seed in SEEDS:
+            points = select(curves, env=env, way=way, seed=seed, kind="new")
+            axes.plot([float(row["steps"]) / 1000 for row in points],
+                      [100 * float(row["success"]) for row in points],
+                      color=PALETTE[way], lw=1.2, alpha=0.8)
+        ends = select(seeds, env=env, way=way)
+        budget = max(float(row["steps"]) for row in ends) / 1000
+        axes.plot([BESIDE[way] * budget] * len(ends),
+                  [100 * float(row["new_success"]) for row in ends], color=PALETTE[way],
+                  clip_on=False, zorder=3, **mark)
+    axes.axvline(1.005 * budget, color=PALETTE["robot"], lw=0.8, ls=":")
+    axes.text(1.05 * budget, 50, "frozen", rotation=90, ha="center", va="center", fontsize=9)
+    axes.set(title=env, xlabel="steps [thousands]", xlim=(0, 1.1 * budget), ylim=(-3, 103))
+    axes.grid(alpha=0.3)
 
 
 def draw_memorizing_reasoning(curves, seeds):
@@ -59,26 +80,19 @@ def draw_memorizing_reasoning(curves, seeds):
 
     curves, seeds: rows of `results/curves.csv` and `results/seeds.csv`. Returns a Figure.
     """
-    figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
     for axes, env in zip(figure.subplots(1, 2, sharey=True), ENVS):
-        for way, (_, mark) in WAYS.items():
-            for seed in SEEDS:
-                points = select(curves, env=env, way=way, seed=seed, kind="new")
-                axes.plot([float(row["steps"]) / 1000 for row in points],
-                          [100 * float(row["success"]) for row in points],
-                          color=PALETTE[way], lw=1.2, alpha=0.8)
-            ends = select(seeds, env=env, way=way)
-            axes.plot([float(row["steps"]) / 1000 for row in ends],
-                      [100 * float(row["new_success"]) for row in ends], color=PALETTE[way],
-                      clip_on=False, zorder=3, **mark)
-        axes.set(title=env, xlabel="steps [thousands]", xlim=(0, None), ylim=(-3, 103))
-        axes.grid(alpha=0.3)
+        draw_training(axes, curves, seeds, env)
     figure.axes[0].set_ylabel(f"new targets reached,\nlast {WINDOW} episodes [%]")
-    marks = [Line2D([], [], color=PALETTE[way], label="its last policies, frozen", **mark)
-             for way, (_, mark) in WAYS.items()]
-    lines = way_handles()
-    handles = [lines[0], marks[0], lines[1], marks[1]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    handles = []
+    for way, (name, mark) in WAYS.items():
+        handles.append(Line2D([], [], color=PALETTE[way], label=f"{name}: while training"))
+        handles.append(Line2D([], [], color=PALETTE[way], label=f"{name}: last policies, frozen",
+                              **mark))
+    first, second = (int(row["episodes"]) for row in curves[:2])
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9,
+                  title=f"a curve has a point every {second - first} episodes to new targets, "
+                        "so some end before the budget (dotted)", title_fontsize=9)
     return figure
 
 
@@ -105,12 +119,13 @@ def draw_learning(curves, env):
             axes.grid(alpha=0.3)
         panels[0, column].set_ylim(-3, 103)
         panels[0, column].set_title(f"{kind} targets", color=PALETTE[kind], weight="bold")
-        panels[1, column].set_xlabel(f"episodes to {kind} targets")
+        window = str(WINDOW)
+        if SPACING[env][kind] != WINDOW:
+            window += f" (paper: {SPACING[env][kind]})"
+        panels[1, column].set(xlabel=f"episodes to {kind} targets",
+                              ylabel=f"average reward of an episode,\nlast {window} episodes")
     panels[0, 0].set_ylabel(f"success rate,\nlast {WINDOW} episodes [%]")
-    panels[1, 0].set_ylabel("average reward of an episode,\nlast 100 episodes")
-    windows = " and ".join(str(SPACING[env][kind]) for kind in ("training", "new"))
-    paper = Line2D([], [], color=PALETTE["paper"], lw=2,
-                   label=f"the paper's run, released records (reward: last {windows} episodes)")
+    paper = Line2D([], [], color=PALETTE["paper"], lw=2, label="the paper's run, released records")
     figure.legend(handles=[paper, *way_handles()], loc="outside lower center", ncols=3,
                   frameon=False, fontsize=9)
     figure.suptitle(f"{env}: five seeds of each way to train, and the paper's run")
@@ -136,7 +151,8 @@ def draw_floors(rows, rooms, patch):
             any_grey |= grey
             draw_robot(axes, scene.start)
             axes.set_title(f"{scene.name}: {name}", fontsize=10)
-    figure.colorbar(mesh, ax=panels, label="episodes that arrive, five seeds [%]", shrink=0.7)
+    figure.colorbar(mesh, ax=panels, label="episodes that arrive,\nmean over five seeds [%]",
+                    shrink=0.7)
     figure.legend(handles=[start_handle(), *floor_handles(rooms[0], any_grey)],
                   loc="outside lower center", ncols=5, frameon=False, fontsize=9)
     return figure
@@ -148,7 +164,7 @@ def draw_hidden(scene_traces):
 
     scene_traces: (scene, what is hidden -> Traces) for each row. Returns a Figure.
     """
-    figure = Figure(figsize=(WIDTH, 2.15 * len(scene_traces) + 0.7), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 2.3 * len(scene_traces) + 0.8), layout="constrained")
     panels = figure.subplots(len(scene_traces), len(HIDDEN), squeeze=False, sharey="row")
     met = set()
     for row, (scene, traces_of) in zip(panels, scene_traces):
@@ -161,11 +177,11 @@ def draw_hidden(scene_traces):
             draw_target(axes, scene, traces[0].goal, ring=True)
             arrived = sum(trace.arrived for trace in traces)
             axes.set_title(f"{name}: {arrived} of {len(traces)} arrive", fontsize=9)
-            axes.set(xlabel="", ylabel="")
+            axes.set_ylabel("")
             met |= {trace.outcome for trace in traces}
         row[0].set_ylabel(f"{scene.name}\ny [m]")
-    for axes in panels[-1]:
-        axes.set_xlabel("x [m]")
+    figure.suptitle(f"paths of seed 0 ({WAYS['varied'][0]}), parts of its target hidden",
+                    fontsize=10)
     outcomes = [outcome_handle(outcome) for outcome in OUTCOMES if outcome in met]
     figure.legend(handles=[start_handle(), target_handle("new"), *outcomes],
                   loc="outside lower center", ncols=5, frameon=False, fontsize=9)
@@ -179,10 +195,10 @@ def draw_benchmark(figures):
     left, right = figure.subplots(1, 2)
     for key, (name, mark, line) in STAGES.items():
         robots = [int(R) for R in figures[key]]
-        cost = [1e6 / rate for rate in figures[key].values()]  # [us]
+        cost = [1e6 / rate for rate in figures[key].values()]  # [µs]
         left.plot(robots, cost, color=PALETTE["robot"], marker=mark, ls=line, label=name)
-    left.set(xscale="log", yscale="log", xlabel="robots R, side by side",
-             ylabel="cost for one robot [us]", title="env1, one core", xticks=robots,
+    left.set(xscale="log", yscale="log", xlabel="robots R, side by side (log scale)",
+             ylabel="cost for one robot [µs] (log scale)", title="env1, one core", xticks=robots,
              xticklabels=robots)
     left.minorticks_off()
     left.legend(frameon=False)
@@ -191,7 +207,7 @@ def draw_benchmark(figures):
     _, mark, _ = STAGES["camera_fps"]
     right.plot(boxes, cost, color=PALETTE["robot"], marker=mark, ls="none")
     right.set(xlim=(0, None), ylim=(0, None), xlabel="boxes in the room, four of them walls",
-              ylabel="cost of one camera image [us]", title="R = 32, one core", xticks=boxes)
+              ylabel="cost of one camera image [µs]", title="R = 32, one core", xticks=boxes)
     for axes in (left, right):
         axes.grid(alpha=0.3)
     return figure

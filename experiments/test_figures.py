@@ -20,17 +20,21 @@ ENV1 = scenes.load("env1")
 
 def test_memorizing_and_reasoning_shows_every_seed_of_both_ways_and_the_frozen_policies():
     curves = [{"env": env, "way": way, "seed": seed, "kind": kind, "steps": str(1000 * k),
-               "success": str(k / 10)}
+               "episodes": str(50 * k), "success": str(k / 10)}
               for env in figures.ENVS for way in figures.WAYS for seed in figures.SEEDS
               for kind in ("training", "new") for k in range(int(seed) + 2)]
     seeds = [{"env": env, "way": way, "steps": "5000", "new_success": "0.7"}
              for env in figures.ENVS for way in figures.WAYS for seed in figures.SEEDS]
     for axes in figures.draw_memorizing_reasoning(curves, seeds).axes:
+        beside = set()
         for way in figures.WAYS:
             lines = [line for line in axes.lines if line.get_color() == PALETTE[way]]
             assert [len(line.get_xdata()) for line in lines] == [2, 3, 4, 5, 6, 5]
             assert lines[4].get_ydata()[-1] == 50 and lines[4].get_xdata()[-1] == 5
             assert set(lines[5].get_ydata()) == {70.0}
+            beside |= set(lines[5].get_xdata())
+        # The frozen stand beside the curves, one way's beside the other's: nothing hides them.
+        assert len(beside) == 2 and 5 < min(beside) and max(beside) < axes.get_xlim()[1]
 
 
 def test_a_patch_of_the_floors_weighs_every_episode_alike_not_every_seed():
@@ -45,14 +49,14 @@ def test_a_patch_of_the_floors_weighs_every_episode_alike_not_every_seed():
 
 def test_the_benchmark_is_drawn_as_microseconds_at_every_count_that_was_measured():
     rates = {"1": 1000.0, "32": 10000.0, "256": 20000.0}
-    boxes = {"4": 50000.0, "8": 40000.0, "16": 20000.0, "40": 10000.0}
+    boxes = {"4": 50000.0, "8": 40000.0, "16": 20000.0, "24": 12500.0, "40": 10000.0}
     measured = dict.fromkeys(figures.STAGES, rates) | {"camera_fps_boxes": boxes}
     left, right = figures.draw_benchmark(measured).axes
     for line in left.lines:
         assert list(line.get_xdata()) == [1, 32, 256]
         assert np.allclose(line.get_ydata(), [1000, 100, 50])
-    assert list(right.lines[0].get_xdata()) == [4, 8, 16, 40]
-    assert np.allclose(right.lines[0].get_ydata(), [20, 25, 50, 100])
+    assert list(right.lines[0].get_xdata()) == [4, 8, 16, 24, 40]
+    assert np.allclose(right.lines[0].get_ydata(), [20, 25, 50, 80, 100])
 
 
 # ----------------------------------------------------------------------------------- the drawings
@@ -71,7 +75,7 @@ def test_the_network_is_drawn_with_the_sizes_of_the_paper():
 
 @pytest.mark.parametrize("pose", ((-2.0, -3.1, 2.6), (-0.4, -2.6, 4.2), (-2.0, -3.1, 0.4)))
 def test_the_depths_that_are_drawn_put_the_walls_feet_where_the_camera_shows_them(pose):
-    inverse, which = diagrams.inverse_depths(ENV1, pose)
+    inverse, far_along, which = diagrams.nearest_faces(ENV1, pose)
     image = Camera([ENV1]).render(np.array([0]), np.array([pose]), np.array([(1000.0, 0.0)]))[0]
     foot = render.H / 2 + CAMERA_HEIGHT * inverse * render.FOCAL  # from the upper edge
     for column, row in enumerate(foot):
@@ -81,6 +85,7 @@ def test_the_depths_that_are_drawn_put_the_walls_feet_where_the_camera_shows_the
     for face in set(which):  # the claim of the drawing
         chosen = [column for column in range(render.W) if which[column] == face]
         assert np.allclose(np.diff(inverse[chosen], 2), 0, atol=1e-6)
+        assert np.allclose(np.diff(far_along[chosen], 2), 0, atol=1e-4)
 
 
 def test_packed_episodes_are_drawn_once_each_a_clearing_step_apart():

@@ -9,12 +9,12 @@ import time
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Rectangle
 from PIL import Image
 
 from render import CUBE_SIZE, H, W
 from sim import CONTROL_PERIOD
-from support.pictures import PALETTE, RING, draw_robot, draw_room, kind_of, move_robot
+from support.pictures import PALETTE, draw_ring, draw_robot, draw_room, kind_of, move_robot
 
 SIZE = 760, 312  # [px] width and height of a frame, even, as video encoders need it
 ZOOM = 5  # pixels of a frame, across and down, to a pixel of the camera
@@ -28,17 +28,24 @@ HOLD = 1500  # [ms] that a film shows its last frame
 COLOURS = 64  # of a film's GIF
 
 
+def caption(kind, cube):
+    """What a film says of its target. kind: as of `kind_of`. cube: whether the camera shows it."""
+    name = {"training": "training target", "new": "new target", "goal": "target"}[kind]
+    shown = "blue cube in the camera" if cube else "the camera never shows its cube"
+    return f"{name} (ring): {shown}"
+
+
 class EpisodeView:
     """An episode as pictures. One view is one episode: the trail of the robot grows by every frame.
 
-    The target is a blue cube in the camera, whichever it is, and so it is on this map; the ring
-    around it has the colour of its kind, blue for training, green for new. No other target is in
-    the world during the episode, so none is shown.
+    The target is a blue cube in the camera, whichever it is, and so it is on this map, in a ring.
+    No other target is in the world during the episode, so none is shown.
     """
 
-    def __init__(self, scene, goal, label="", pace=""):
+    def __init__(self, scene, goal, label="", pace="", cube=True):
         """goal: (2,) [m], where the target stands. label, pace: a few words below and above what
-        the camera sees, on how the episode is driven and how fast it is shown."""
+        the camera sees, on how the episode is driven and how fast it is shown. cube: whether the
+        camera may show the cube."""
         figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI)
         self._canvas = FigureCanvasAgg(figure)
         left, top, width, height = MAP
@@ -47,7 +54,7 @@ class EpisodeView:
         draw_room(self._axes, scene)
         self._axes.axis("off")
         self._axes.set_anchor("W")
-        self._draw_target(scene, goal)
+        self._draw_target(scene, goal, cube)
         left = CAMERA_CORNER[0] / SIZE[0]
         right = (CAMERA_CORNER[0] + ZOOM * W) / SIZE[0]
         figure.text(left, ABOVE, "what the robot sees", fontsize=10)
@@ -63,16 +70,14 @@ class EpisodeView:
         self._still = self._canvas.copy_from_bbox(figure.bbox)
         self._places = []
 
-    def _draw_target(self, scene, goal):
-        """Draws the cube with its ring, and says below the map what they are."""
-        kind = kind_of(scene, goal)
+    def _draw_target(self, scene, goal, cube):
+        """Draws the cube, hollow where the camera never shows it, in its ring, and says below the
+        map what they are."""
         half = CUBE_SIZE / 2
         self._axes.add_patch(Rectangle((goal[0] - half, goal[1] - half), CUBE_SIZE, CUBE_SIZE,
-                                       color=PALETTE["cube"], lw=0))
-        self._axes.add_patch(Circle(goal, RING * CUBE_SIZE, fill=False, color=PALETTE[kind],
-                                    lw=2.5))
-        name = {"training": "training target", "new": "new target"}.get(kind, "target")
-        self._axes.figure.text(MAP[0] / SIZE[0], BELOW, f"{name} (ring): blue cube in the camera",
+                                       color=PALETTE["cube"], fill=cube))
+        draw_ring(self._axes, goal)
+        self._axes.figure.text(MAP[0] / SIZE[0], BELOW, caption(kind_of(scene, goal), cube),
                                fontsize=10)
 
     def frame(self, pose, image, command, seconds):
@@ -91,10 +96,16 @@ class EpisodeView:
         return frame
 
 
+def show_cube(images):
+    """Whether any of the images (T, H, W, 3) shows the cube: nothing else is blue."""
+    red, green, blue = np.moveaxis(images, -1, 0)
+    return bool((blue // 2 > np.maximum(red, green)).any())
+
+
 def frames_of(trace):
     """The frames (h, w, 3) uint8 of a trace that has images, T + 1 of them."""
     pace = f"{RENDER_FPS * CONTROL_PERIOD:g} times faster than life"
-    view = EpisodeView(trace.scene, trace.goal, trace.label, pace)
+    view = EpisodeView(trace.scene, trace.goal, trace.label, pace, show_cube(trace.images))
     commands = np.concatenate([np.zeros((1, 2)), trace.commands])  # none led to the start
     for t, (pose, image, command) in enumerate(zip(trace.poses, trace.images, commands)):
         yield view.frame(pose, image, command, t * CONTROL_PERIOD)

@@ -22,7 +22,7 @@ SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points
            "env2": {"training": 500, "new": 100}}
 WINDOW = 100  # episodes that a success rate is taken over, paper IV-B
 PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
-RING = 1.05  # cube sizes, radius of the ring around the target of an episode
+RING = 1.05  # cube sizes, radius of the ring around the target of the episode that is shown
 FEWEST = 5  # episodes to a patch of the floor that its success rate is shown from
 MOST_PANELS = 16  # of `draw_trajectories`: a scene of more targets has one panel for all
 
@@ -71,8 +71,13 @@ def draw_target(axes, scene, goal, ring=False):
     axes.fill((x - half, x + half, x + half, x - half), (y - half, y - half, y + half, y + half),
               facecolor=PALETTE[kind_of(scene, goal)], edgecolor="white", lw=0.6, zorder=3.6)
     if ring:
-        axes.add_patch(Circle(goal, RING * CUBE_SIZE, fill=False, color=PALETTE["robot"], lw=1.4,
-                              zorder=3.7))
+        draw_ring(axes, goal)
+
+
+def draw_ring(axes, goal):
+    """Draws the ring that says: this is the target of the episode."""
+    axes.add_patch(Circle(goal, RING * CUBE_SIZE, fill=False, color=PALETTE["robot"], lw=1.4,
+                          zorder=3.7))
 
 
 def draw_robot(axes, pose):
@@ -154,14 +159,14 @@ def draw_demo(scene, traces):
     draw_target(axes, scene, last.goal, ring=True)
     draw_robot(axes, last.poses[0])
     for name, t in zip("123456", np.linspace(0, len(last.images) - 1, 6).astype(int)):
-        axes.annotate(name, last.poses[t, :2], (0, 11), textcoords="offset points", fontsize=8,
-                      ha="center", va="center", zorder=4,
-                      bbox=dict(boxstyle="circle,pad=0.15", fc="white", ec=PALETTE["robot"]))
+        axes.text(*last.poses[t, :2], name, fontsize=7, ha="center", va="center", zorder=4,
+                  bbox=dict(boxstyle="circle,pad=0.15", fc="white", ec=PALETTE["robot"]))
         panels[name].imshow(last.images[t])
         panels[name].set_title(f"{name}: {t * CONTROL_PERIOD:.1f} s", fontsize=10)
         panels[name].axis("off")
-    axes.set_title(f"{scene.name}: {len(traces)} episodes; the last (thick) from its camera",
-                   fontsize=10)
+    different = len({trace.poses.tobytes() for trace in traces})
+    axes.set_title(f"{scene.name}: {len(traces)} episodes, {different} different paths\n"
+                   "thick: the last one; right: its camera at 1 to 6", fontsize=10)
     figure.legend(handles=[start_handle(), *target_handles(scene), *outcome_handles(traces)],
                   loc="outside lower center", ncols=6, frameon=False, fontsize=9)
     return figure
@@ -201,33 +206,46 @@ def released_curve(env, kind):
     return ends, success, reward
 
 
+def draw_column(column, theirs, ours, window):
+    """Draws success rate and average reward to targets of a kind into a column of two panels.
+
+    theirs: what `released_curve` returns. ours: what `curve` returns for that window.
+    """
+    for i, axes in enumerate(column):
+        if theirs:
+            axes.plot(theirs[0], theirs[i + 1], color=PALETTE["paper"], lw=2,
+                      label="the paper's run, released records")
+        if ours[0]:
+            axes.plot(ours[0], ours[i + 1], color=PALETTE["run"], marker="o", ms=4,
+                      label="this run")
+        else:
+            axes.text(0.03, 0.92, f"this run: under {window} episodes", va="center",
+                      transform=axes.transAxes, color=PALETTE["run"])
+        axes.grid(alpha=0.3)
+
+
 def draw_curves(episodes, env, stop_rate):
     """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind.
 
     episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. Returns a Figure.
     """
-    figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
     panels = figure.subplots(2, 2, sharey="row", sharex="col")
-    for column, kind in enumerate(("training", "new")):
+    for column, kind in zip(panels.T, ("training", "new")):
         window = SPACING.get(env, {}).get(kind, WINDOW)
-        theirs = released_curve(env, kind)
         ours = curve([row for row in episodes if row["kind"] == kind], window)
-        for i, axes in enumerate(panels[:, column]):
-            if theirs:
-                axes.plot(theirs[0], theirs[i + 1], color=PALETTE["paper"], lw=2,
-                          label="the paper's run, released records")
-            axes.plot(ours[0], ours[i + 1], color=PALETTE["run"], marker="o", ms=4,
-                      label="this run")
-            axes.grid(alpha=0.3)
-        panels[0, column].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
-                                  label=f"training stops above {stop_rate:.0%} on new targets")
-        panels[0, column].set(ylim=(-3, 103))
-        panels[0, column].set_title(f"{kind} targets", color=PALETTE[kind], weight="bold")
-        panels[1, column].set_xlabel(f"episodes to {kind} targets")
-    panels[0, 0].set_ylabel(f"success rate,\nlast {WINDOW} episodes [%]")
-    panels[1, 0].set_ylabel("average reward of an episode")
+        draw_column(column, released_curve(env, kind), ours, window)
+        column[0].set_title(f"{kind} targets", color=PALETTE[kind], weight="bold")
+        column[1].set(xlabel=f"episodes to {kind} targets",
+                      ylabel=f"average reward of an episode,\nlast {window} episodes")
+    panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
+    panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
+                         label=f"training stops above {stop_rate:.0%}")
     figure.suptitle(env)
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3,
+    handles = {}  # by label: each once, whichever panel it is in
+    for axes in panels.flat:
+        handles |= {handle.get_label(): handle for handle in axes.get_legend_handles_labels()[0]}
+    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=3,
                   frameon=False)
     return figure
 
@@ -262,7 +280,7 @@ def draw_group(axes, scene, goal, group, most):
             axes.plot(*trace.poses[0, :2], color=PALETTE["robot"], marker="o", ms=3.5, ls="none",
                       zorder=3)
     arrived = sum(trace.outcome == "arrival" for trace in group)
-    name = "other goals"
+    name = "goals anywhere"
     if goal is not None:
         draw_target(axes, scene, goal, ring=True)
         name = f"{kind_of(scene, goal)} target ({goal[0]:.1f}, {goal[1]:.1f})"
@@ -272,7 +290,7 @@ def draw_group(axes, scene, goal, group, most):
 
 def draw_trajectories(scene, traces, most=20):
     """Fig. 6: a panel for each target with the paths to it over the map, coloured by outcome, at
-    most so many; other goals share one, of four times as many. Returns a Figure."""
+    most so many; goals anywhere share one, of four times as many. Returns a Figure."""
     groups = by_target(scene, traces)
     columns = min(len(groups), 4)
     rows = math.ceil(len(groups) / columns)
@@ -315,7 +333,7 @@ def floor_handles(scene, grey):
     handles = target_handles(scene)
     if grey:
         handles.append(Patch(facecolor=PALETTE["few"], hatch="////", edgecolor="white", lw=0,
-                             label=f"fewer than {FEWEST} episodes"))
+                             label=f"under {FEWEST} episodes: too few to tell"))
     return [*handles, Patch(facecolor="white", edgecolor=PALETTE["robot"], lw=0.6,
                             label="not tried")]
 

@@ -1,6 +1,7 @@
 """Proofs of the pictures and the film."""
 
 import sys
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ from PIL import Image
 
 import navbot_min
 import scenes
-from render import CUBE_SIZE, H, W
+from render import CUBE_SIZE, Camera, H, W
 from sim import ROBOT_RADIUS
 from support import film, pictures
 from support.pictures import PALETTE
@@ -46,7 +47,7 @@ TOGETHER = [  # meanings that meet in one picture
     ("training", "new", "arrival", "collision", "timeout", "robot", "wall", "brick", "wood"),
     ("one-start", "varied", "paper"),
     ("run", "paper", "robot"),
-    ("cube", "new", "robot", "wall", "brick", "wood")]
+    ("cube", "robot", "wall", "brick", "wood")]
 
 
 def lab(colour, eye):
@@ -103,6 +104,21 @@ def test_the_curves_of_a_run_lie_over_those_of_the_paper():
     assert run.get_xdata().tolist() == [200, 400, 450]
     assert run.get_ydata().tolist() == [100, 100, 100]
     assert np.isnan(figure.axes[2].lines[0].get_ydata()[-1])  # the paper's mean over 133 episodes
+    stop = [axes for axes in figure.axes if any("stops" in line.get_label() for line in axes.lines)]
+    assert stop == [figure.axes[1]]  # the rule looks at new targets alone
+
+
+@pytest.mark.parametrize("n", ((199, 99), (199, 100), (200, 99)))
+def test_a_legend_names_this_run_only_where_one_is_drawn_and_a_panel_without_it_says_why(n):
+    rows = [{"kind": kind, "outcome": "arrival", "return": 1.0}
+            for kind, episodes in zip(("training", "new"), n) for _ in range(episodes)]
+    figure = pictures.draw_curves(rows, "env1", 0.6)
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    drawn = [[line for line in axes.lines if line.get_label() == "this run"]
+             for axes in figure.axes]
+    assert ("this run" in names) == any(drawn)
+    assert [bool(lines) for lines in drawn] == [n[0] == 200, n[1] == 100] * 2
+    assert [not axes.texts for axes in figure.axes] == [bool(lines) for lines in drawn]
 
 
 # ------------------------------------------------------------------------------------ the paths
@@ -119,12 +135,12 @@ def test_paths_are_drawn_evenly_not_those_that_ended_first():
     assert max(drawn) == 102 and 15 < len(drawn) <= 20 and max(np.diff(sorted(drawn))) < 8
 
 
-def test_a_panel_for_each_target_that_was_driven_to_and_one_for_all_other_goals():
+def test_a_panel_for_each_target_that_was_driven_to_and_one_for_all_goals_anywhere():
     goals = [ENV1.targets[2], ENV1.targets[0], (-1.0, -3.0), (-2.0, -3.0)]
     traces = [trace(goal, np.tile((-1.0, -3.0), (k + 3, 1))) for k, goal in enumerate(goals)]
     panels = pictures.draw_trajectories(ENV1, traces).axes
     assert [drawn_lengths(axes) for axes in panels] == [{4}, {3}, {5, 6}]
-    assert "other goals" in panels[2].get_title()
+    assert "goals anywhere" in panels[2].get_title()
 
 
 def test_the_robot_is_drawn_at_the_start_only_where_all_start_there():
@@ -194,10 +210,9 @@ def test_a_frame_has_an_even_size_the_robot_where_its_pose_says_and_the_camera_e
             assert (pixels == image[i, k]).all()
 
 
-def test_the_target_of_a_film_is_a_blue_cube_in_a_ring_of_its_kind_and_no_other_is_shown():
+def test_the_target_of_a_film_is_a_blue_cube_in_a_ring_and_no_other_is_shown():
     image = np.zeros((H, W, 3), np.uint8)
-    for goal, kind in ((ENV1.targets[0], "training"), (ENV1.targets[2], "new"),
-                       ((-2.0, -3.0), "goal")):
+    for goal in (ENV1.targets[0], ENV1.targets[2], (-2.0, -3.0)):
         frame = film.EpisodeView(ENV1, goal).frame((-0.4, -2.6, 0), image, (0, 0), 0).astype(int)
 
         def colour_at(place):
@@ -205,10 +220,23 @@ def test_the_target_of_a_film_is_a_blue_cube_in_a_ring_of_its_kind_and_no_other_
             return tuple(frame[y, x])
         assert colour_at(goal) == tuple(round(255 * part) for part in to_rgb(PALETTE["cube"]))
         ring = np.add(goal, (pictures.RING * CUBE_SIZE, 0))
-        assert colour_at(ring) == tuple(round(255 * part) for part in to_rgb(PALETTE[kind]))
+        assert max(colour_at(ring)) < 120  # dark, whichever kind the target is
         for other in ENV1.targets:
             if tuple(other) != tuple(goal):
                 assert colour_at(other) == (255, 255, 255)
+
+
+@pytest.mark.parametrize("place, shown", ((ENV1.targets[0], True), ((1000.0, 0.0), False)))
+def test_a_film_says_that_the_cube_is_blue_only_where_its_camera_shows_it(place, shown):
+    poses = np.array([(-2.5, -3.8, np.pi), (-3.0, -3.8, np.pi)])
+    images = Camera([ENV1]).render(np.zeros(2, int), poses, np.array([place, place]))
+    assert film.show_cube(images) is shown
+    assert ("blue" in film.caption("new", shown)) is shown
+    driven = replace(trace(ENV1.targets[0], poses[:, :2]), images=images)
+    y, x = on_map(ENV1.targets[0]).round().astype(int)
+    blue = tuple(round(255 * part) for part in to_rgb(PALETTE["cube"]))
+    for frame in film.frames_of(driven):
+        assert tuple(frame[y, x]) == (blue if shown else (255, 255, 255))
 
 
 def test_a_trail_grows_with_every_frame_and_frames_that_were_given_stay():
