@@ -79,9 +79,12 @@ def save_model(path, model, scenes):
 def load_run(path):
     """The network and the list of scenes of a run folder, or of its weights' file. Raises RunError;
     what is in the file is never executed."""
+    valid = "it must be a run folder or a .pt file"
+    if not Path(path).exists():
+        raise RunError(f"run '{path}' does not exist: {valid}")
     file = Path(path) / "model.pt" if Path(path).is_dir() else Path(path)
     if not file.is_file():
-        raise RunError(f"run '{path}' has no {file.name}: it must be a run folder or a .pt file")
+        raise RunError(f"run '{path}' has no {file.name}: {valid}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about files that are none of ours: the error says it
