@@ -34,7 +34,6 @@ LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the ma
 HIGHEST_ACTION = np.array([1.0, 1.0])
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
-CHANGING = ("goals", "starts", "_target", "_steps", "_return")  # arrays of the environment's state
 RENDER_FPS = 10  # frames a second; a frame is CONTROL_PERIOD, so four times faster than life
 
 
@@ -68,12 +67,14 @@ class NavVecEnv(VectorEnv):
     (R,) each; `observations` is then the next episode's already. As in all of Gymnasium there is a
     mask of the same name after a `_`: whether the entry of robot r counts.
 
-    A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`.
+    A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`. Arrays of
+    its own that change while robots drive it names in `changing`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS,
                 "autoreset_mode": AutoresetMode.SAME_STEP}
     autoreset_mode = AutoresetMode.SAME_STEP  # where TorchRL looks for it
+    changing = ("goals", "starts", "_target", "_steps", "_return")  # arrays that `state` holds
 
     def __init__(self, num_envs=32, scenes=("env1",), targets="both", random_starts=0.0,
                  max_episode_steps=MAX_EPISODE_STEPS, render_mode=None):
@@ -87,13 +88,12 @@ class NavVecEnv(VectorEnv):
         render_mode: "rgb_array" or None.
         Raises ValueError for any of these that is not valid.
         """
-        checks.check_numbers(num_envs, max_episode_steps, random_starts)
-        checks.check_render_mode(render_mode, self.metadata["render_modes"])
+        checks.check_arguments(num_envs, max_episode_steps, random_starts, render_mode)
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
         self.random_starts = random_starts
         self.render_mode = render_mode
-        self.scenes = checks.load_scenes(scenes)
+        self.scenes = checks.load_scenes(scenes, most=num_envs)
         self.scene_of = np.arange(num_envs) % len(self.scenes)
         self.world = World([self.scenes[k] for k in self.scene_of])
         self.camera = Camera(self.scenes)
@@ -232,12 +232,12 @@ class NavVecEnv(VectorEnv):
 
     def state(self):
         """All that changes while robots drive, for `load_state`: arrays and numbers alone."""
-        arrays = {name: getattr(self, name).copy() for name in CHANGING}
+        arrays = {name: getattr(self, name).copy() for name in self.changing}
         return arrays | {"world": self.world.state(), "random": self.np_random.bit_generator.state}
 
     def load_state(self, state):
         """Goes on from a state of an environment that was made in the same way."""
-        for name in CHANGING:
+        for name in self.changing:
             setattr(self, name, state[name].copy())
         self.world.load_state(state["world"])
         self.np_random.bit_generator.state = state["random"]
@@ -253,13 +253,14 @@ class NavEnv(gym.Env):
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
+    vector_class = NavVecEnv  # a subclass with hooks of its own names it here
 
     def __init__(self, scenes=("env1",), targets="both", random_starts=0.0,
                  max_episode_steps=checks.NO_LIMIT, render_mode=None):
         """As NavVecEnv, but without a time limit of its own unless one is given. render_mode: also
         "human", a window. Raises ValueError."""
         checks.check_render_mode(render_mode, self.metadata["render_modes"])
-        self.vector = NavVecEnv(1, scenes, targets, random_starts, max_episode_steps)
+        self.vector = self.vector_class(1, scenes, targets, random_starts, max_episode_steps)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
         self.render_mode = render_mode

@@ -103,7 +103,7 @@ class Collector:
 
     def state(self):
         """All that changes while robots drive, the environment's state included."""
-        longest = self._length.max()
+        longest = max(self._length.max(), 1)
         return {"env": self.env.state(), "generator": self.generator.get_state(),
                 "observations": {key: value.copy() for key, value in self._observations.items()},
                 "memory": self._memory.clone(), "length": self._length.copy(),
@@ -225,8 +225,7 @@ def update(model, optimizer, episodes, config, rng, processes):
     device = model.log_std.device
     history = {}
     for _ in range(config.epochs):
-        shuffled = rng.permutation(len(episodes))
-        for chosen in np.array_split(shuffled, config.minibatches):
+        for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
             batch = make_minibatch([episodes[k] for k in chosen], [A[k] for k in chosen], device)
             batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)  # padding too: unused
             policy_loss, value_loss, statistics = losses(model, batch, config.clip)

@@ -275,6 +275,10 @@ def test_gymnasium_accepts_the_environment_without_a_warning(name):
 @pytest.mark.parametrize("changes, words", [
     ({"scenes": "env1"}, "scenes is 'env1', it must be a list such as ['env1']"),
     ({"scenes": []}, "scenes is [], it must be a list"),
+    ({"scenes": 3}, "scenes is 3, it must be a list"),
+    ({"scenes": ["env1", "env2"], "num_envs": 1}, "scenes has 2 entries, it must have at most 1"),
+    ({"random_starts": "x"}, "random_starts is 'x', it must be from 0 to 1"),
+    ({"targets": [1.0] * 32}, "targets[0] is 1.0, it must be from 0 to 2"),
     ({"scenes": ["env9"]}, "unknown scene 'env9'"),
     ({"num_envs": 0}, "num_envs is 0, it must be a whole number from 1 up"),
     ({"max_episode_steps": True}, "max_episode_steps is True"),
@@ -400,6 +404,7 @@ def test_reset_starts_the_episode_that_it_is_asked_for():
 
 @pytest.mark.parametrize("options, words", [
     ({"targets": 1}, "options has 'targets', known are 'target' and 'start'"),
+    ([1], "options is [1], it must be a dict"),
     ({"target": 3}, "options['target'] is 3, it must be from 0 to 2"),
     ({"target": -1}, "options['target'] is -1"),
     ({"target": 1.0}, "options['target'] is 1.0, it must be a whole number"),
@@ -685,6 +690,17 @@ def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_li
     assert outcomes == {True, False}
 
 
+def test_a_collector_whose_episodes_have_all_just_ended_goes_on_from_its_state():
+    first, second = (ppo.Collector(navbot_min.NavVecEnv(2, max_episode_steps=3), network(), 0.01,
+                                   0, 0) for _ in range(2))
+    for _ in range(3):
+        first.step()
+    second.load_state(first.state())
+    for _ in range(4):
+        ended = [(info, e.actions.tolist()) for e, info in first.step()]
+        assert ended == [(info, e.actions.tolist()) for e, info in second.step()]
+
+
 class Cue(VectorEnv):
     """A cue shown at the first step alone; the second and last action is paid by its sign."""
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -813,16 +829,19 @@ def test_a_training_goes_on_from_its_state_as_if_it_had_never_stopped():
         whole.collect()
         if whole.buffer_is_full:
             whole.learn()
+    while not whole.buffer_is_full:  # in between an update's two halves
+        whole.collect()
     state = pickle.loads(pickle.dumps(whole.state()))
     resumed = train.Training(train.Config(**config.__dict__ | {"seed": 0}), [ENV1], OneProcess())
     resumed.load_state(state)
     learnt = 0
     for _ in range(130):
-        assert [str(info) for info in whole.collect()] == [str(info) for info in resumed.collect()]
+        assert whole.buffer_is_full == resumed.buffer_is_full
         if whole.buffer_is_full:
             assert whole.learn() == resumed.learn()
             learnt += 1
-    assert learnt >= 2 and whole.record.steps == resumed.record.steps == 2080
+        assert [str(info) for info in whole.collect()] == [str(info) for info in resumed.collect()]
+    assert learnt >= 2 and whole.record.steps == resumed.record.steps >= 2080
     for one, other in zip(whole.model.parameters(), resumed.model.parameters()):
         assert torch.equal(one, other)
 

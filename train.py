@@ -34,7 +34,7 @@ ANNEALING = 0.15  # share of the steps, the last ones, in which they shrink to i
 class Config:
     """A training run. The command line is made from these fields."""
     env: str = option("env1", "a scene's name, or a path to a scene file")
-    seed: int = option(0, "of every random number in the run", 0)
+    seed: int = option(0, "of every random number in the run", 0, 2 ** 63 - 1)
     steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
     robots: int = option(32, "R, robots that drive side by side", 1)
@@ -178,7 +178,7 @@ class Training:
         """All that changes, for `load_state`: tensors, arrays, numbers and text alone."""
         return {"model": copy.deepcopy(self.model.state_dict()),
                 "optimizer": copy.deepcopy(self.optimizer.state_dict()),
-                "rng": self.rng.bit_generator.state,
+                "rng": self.rng.bit_generator.state, "buffer_is_full": self.buffer_is_full,
                 "collector": self.collector.state(), "record": self.record.state(),
                 "buffer": [dict(episode.__dict__) for episode in self.buffer]}
 
@@ -190,6 +190,7 @@ class Training:
         self.collector.load_state(state["collector"])
         self.record.load_state(state["record"])
         self.buffer = [Episode(**fields) for fields in state["buffer"]]
+        self.buffer_is_full = state["buffer_is_full"]
 
 
 def train(training, folder):

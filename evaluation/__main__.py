@@ -35,7 +35,7 @@ class Options:
     hide: str = option("", "what the policy is not shown of its target: its place, its cube, both",
                        choices=HIDDEN)
     episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
-    seed: int = option(0, "of every random number", 0)
+    seed: int = option(0, "of every random number", 0, 2 ** 63 - 1)
     json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
 
 
@@ -144,6 +144,8 @@ def main(argv=None):
         film(examined, options)
     except KeyboardInterrupt:
         sys.exit("interrupted: the files that are written are whole")
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be written: {error.strerror}")
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from dataclasses import replace
 from evaluation.measures import ShortestPaths, summarise
 from evaluation.protocols import (HIDDEN, PROTOCOLS, Assignment, assign_all, make_environment,
                                   protocol_scenes)
+from navbot_min import NavVecEnv
 from support.checks import load_scenes
 from support.traces import drive
 
@@ -13,20 +14,22 @@ KINDS = {"training": "all training targets", "new": "all new targets",
 MOST_ROWS = 40  # targets that `table` has a line for
 
 
-def rollouts(driver, robots, protocol="start", seed=0, hidden="", images=False):
+def rollouts(driver, robots, protocol="start", seed=0, hidden="", images=False,
+             environment=NavVecEnv):
     """Drives what each robot is to do, a list of Assignments; returns the Traces."""
     scenes = [robot.scene for robot in robots]
     targets = [robot.target for robot in robots]
-    env = make_environment(protocol, scenes, targets, hidden)
+    env = make_environment(protocol, scenes, targets, hidden, environment)
     return drive(driver, env, [robot.quota for robot in robots], seed, images)
 
 
-def film_episode(driver, scene, protocol="start", seed=0, hidden=""):
+def film_episode(driver, scene, protocol="start", seed=0, hidden="", environment=NavVecEnv):
     """The Trace, with images, of one episode of the kind that `evaluate` counts; it leads to the
     last of the protocol's targets, where that has targets."""
     scene = protocol_scenes(protocol, [scene])[0]
     robot = Assignment(scene, len(scene.targets) - 1, quota=1)
-    trace = rollouts(driver, [robot], protocol, seed, hidden, images=True)[0]
+    [trace] = rollouts(driver, [robot], protocol, seed, hidden, images=True,
+                       environment=environment)
     return replace(trace, label=conditions(protocol, hidden))
 
 
@@ -38,22 +41,24 @@ def conditions(protocol, hidden):
     return f"protocol {protocol}, target's {what} hidden"
 
 
-def evaluate(driver, scenes, episodes=1000, protocol="start", seed=0, actions="sampled", hidden=""):
+def evaluate(driver, scenes, episodes=1000, protocol="start", seed=0, actions="sampled", hidden="",
+             environment=NavVecEnv):
     """Frozen evaluation: no learning, fresh episodes. Returns what `evaluation.json` holds, and the
     episodes' Traces.
 
     driver: a Policy, a Planned or your own. scenes: a list of names, paths or Scenes. episodes: so
     many of each kind, training and new, split evenly over the scenes and their targets; by
     `anywhere`, so many in all. actions: what the result says of the driver's actions. hidden: see
-    `protocols.hiding`. Raises ValueError for what is not valid; SceneError where there is no room
-    for validation targets.
+    `protocols.hiding`. environment: NavVecEnv or a subclass with hooks of its own. Raises
+    ValueError for what is not valid; SceneError where there is no room for validation targets.
     """
     for name, value, valid in (("protocol", protocol, PROTOCOLS), ("hidden", hidden, HIDDEN)):
         if value not in valid:
             known = ", ".join(map(repr, valid))
             raise ValueError(f"{name} is {value!r}, it must be one of {known}")
     scenes = protocol_scenes(protocol, load_scenes(scenes))
-    traces = rollouts(driver, assign_all(protocol, scenes, episodes), protocol, seed, hidden)
+    traces = rollouts(driver, assign_all(protocol, scenes, episodes), protocol, seed, hidden,
+                      environment=environment)
     result = {"protocol": protocol, "actions": actions, "hidden": hidden, "training": None,
               "new": None}
     paths = ShortestPaths()

@@ -1,7 +1,8 @@
 """Where the episodes of an evaluation start and lead, what of the target is hidden, and how many
 episodes go to which target.
 
-A protocol is an environment that overrides `sample_episode`; hiding overrides `observe`:
+A protocol overrides the hook `sample_episode` of an environment, hiding overrides `observe`; the
+environment is NavVecEnv or a subclass of it:
 
 - `start`: every episode starts at the scene's start pose, as training's test episodes do.
 - `perturbed`: near the start pose.
@@ -27,7 +28,7 @@ EXAM_DISTANCE = 0.5  # [m] that a validation target keeps from the start and eac
 OUT_OF_SIGHT = 1000.0  # [m] away is a cube that the camera does not show
 
 
-class Perturbed(NavVecEnv):
+class Perturbed:
     """Episodes start near the scene's start pose: moved by 5 cm and 10 degrees, one standard
     deviation each, drawn again until the robot fits there."""
 
@@ -40,7 +41,7 @@ class Perturbed(NavVecEnv):
                 return target, goal, moved
 
 
-class Anywhere(NavVecEnv):
+class Anywhere:
     """Episodes lead from any reachable place, at any heading, to any reachable place 1 m away or
     more (in a smaller room, as far as can be). The target's index is without meaning."""
 
@@ -54,8 +55,7 @@ class Anywhere(NavVecEnv):
         return target, goal, np.array([x, y, rng.uniform(-np.pi, np.pi)])
 
 
-PROTOCOLS = {"start": NavVecEnv, "perturbed": Perturbed, "anywhere": Anywhere,
-             "validation": NavVecEnv}
+PROTOCOLS = {"start": (), "perturbed": (Perturbed,), "anywhere": (Anywhere,), "validation": ()}
 
 
 def hiding(environment, hidden):
@@ -69,17 +69,18 @@ def hiding(environment, hidden):
             if hidden in ("place", "both"):
                 seen["target"] = np.zeros_like(seen["target"])
             if hidden in ("cube", "both"):
-                elsewhere = goals + OUT_OF_SIGHT
-                seen["image"] = self.camera.render(self.scene_of[robots], poses, elsewhere)
+                elsewhere = super().observe(robots, poses, goals + OUT_OF_SIGHT, velocities,
+                                            last_rewards)
+                seen["image"] = elsewhere["image"]
             return seen
 
     return Hiding
 
 
-def make_environment(protocol, scenes, targets, hidden=""):
+def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv):
     """The environment of a protocol. scenes, targets: of each robot its Scene and the index of its
-    target. hidden: see `hiding`; "" hides nothing."""
-    environment = PROTOCOLS[protocol]
+    target. hidden: see `hiding`; "" hides nothing. environment: NavVecEnv or a subclass of it."""
+    environment = type(environment.__name__, (*PROTOCOLS[protocol], environment), {})
     if hidden:
         environment = hiding(environment, hidden)
     return environment(len(targets), scenes, targets)

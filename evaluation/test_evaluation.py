@@ -17,7 +17,7 @@ from evaluation.__main__ import main
 from evaluation.planners import PRM, visibility_graph
 from evaluation.protocols import assign_all, make_environment
 from model import make_network
-from navbot_min import MAX_COMMAND, OUTCOMES, NavEnv
+from navbot_min import MAX_COMMAND, OUTCOMES, NavEnv, NavVecEnv
 from scenes.test_scenes import square_room
 from sim import ROBOT_RADIUS, SceneError, wrap_angle
 from support.run_folder import load_run, save_model
@@ -266,6 +266,30 @@ def test_a_films_episode_obeys_the_protocol(protocol):
         assert (moved > 1e-6).all() == (protocol == "perturbed") and (moved < 0.5).all()
     assert trace.images.shape == (len(trace.poses), 48, 64, 3)
     assert trace.label == f"protocol {protocol}"
+
+
+def test_an_environment_of_ones_own_is_evaluated_its_noise_under_a_hidden_cube_included():
+    class Noisy(NavVecEnv):
+        """Turns every image into one colour."""
+        def observe(self, *arguments):
+            seen = super().observe(*arguments)
+            seen["image"][:] = 77
+            return seen
+
+    seen = []
+
+    class Spy:
+        label = "stands still, and looks"
+
+        def reset(self, env, robots):
+            pass
+
+        def act(self, env, observations):
+            seen.append((observations["image"] == 77).all())
+            return np.zeros((env.num_envs, 2))
+    for protocol in ("start", "perturbed", "anywhere"):
+        evaluate(Spy(), [ENV1], 1, protocol, hidden="cube", environment=Noisy)
+    assert seen and all(seen)
 
 
 @pytest.mark.parametrize("hidden", HIDDEN)

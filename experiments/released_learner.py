@@ -11,6 +11,7 @@ import csv
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -316,16 +317,10 @@ def run(name, seed, steps):
 
 def evaluate_varied(training, room, seed):
     """The frozen evaluation: what the policy sees is as in its training."""
-    from evaluation import examine
-    if not training.variant.wrapped:
-        examine.make_environment = unwrapped_environment
-    frozen, _ = evaluate(Policy(training.model, "sampled", seed), [room], EPISODES, seed=seed)
+    environment = NavVecEnv if training.variant.wrapped else UnwrappedBearing
+    frozen, _ = evaluate(Policy(training.model, "sampled", seed), [room], EPISODES, seed=seed,
+                         environment=environment)
     return frozen
-
-
-def unwrapped_environment(protocol, rooms, targets, hidden):
-    """As evaluation.protocols.make_environment by protocol `start`, with the unwrapped bearing."""
-    return UnwrappedBearing(len(targets), rooms, targets)
 
 
 def rolling(path):
@@ -353,6 +348,7 @@ def call(name, seed, steps):
     """One run in a process of its own, unless it is done; returns its row."""
     done = RUNS / f"{name}-seed{seed}" / "row.json"
     if not done.exists():
+        shutil.rmtree(done.parent, ignore_errors=True)  # of a run that was interrupted
         subprocess.run([sys.executable, "-m", "experiments.released_learner", "--variant", name,
                         "--seed", str(seed), "--steps", str(steps)], check=True,
                        env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True)
@@ -372,8 +368,12 @@ def main(argv=None):
         return
     names = [options.variant] if options.variant else list(VARIANTS)
     tasks = [(name, seed, options.steps) for seed, name in product(SEEDS, names)]
-    with ThreadPoolExecutor(options.jobs) as pool:
-        rows = list(pool.map(call, *zip(*tasks)))
+    try:
+        with ThreadPoolExecutor(options.jobs) as pool:
+            rows = list(pool.map(call, *zip(*tasks)))
+    except subprocess.CalledProcessError as error:
+        reason = error.stderr.decode().strip().splitlines()[-1]
+        parser.error(f"'{' '.join(error.cmd[1:])}' failed: {reason}")
     rows.sort(key=lambda row: (list(VARIANTS).index(row["variant"]), row["seed"]))
     with open(RESULT, "w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])

@@ -1,6 +1,7 @@
 """What is wrong with the arguments of the environments, each said in one ValueError's sentence that
 names the argument, what was given and what is valid."""
 
+import numbers
 import operator
 
 import numpy as np
@@ -16,15 +17,16 @@ def is_whole_number(value):
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 1
 
 
-def check_numbers(num_envs, max_episode_steps, random_starts):
-    """Refuses what an environment cannot be made with."""
+def check_arguments(num_envs, max_episode_steps, random_starts, render_mode):
+    """Refuses what a vector environment cannot be made with."""
     if not is_whole_number(num_envs):
         raise ValueError(f"num_envs is {num_envs!r}, it must be a whole number from 1 up")
     if not is_whole_number(max_episode_steps) and max_episode_steps != NO_LIMIT:
         raise ValueError(f"max_episode_steps is {max_episode_steps!r}, it must be a whole number "
                          f"from 1 up, or {NO_LIMIT} for no limit")
-    if not 0 <= random_starts <= 1:
+    if not isinstance(random_starts, numbers.Real) or not 0 <= random_starts <= 1:
         raise ValueError(f"random_starts is {random_starts!r}, it must be from 0 to 1")
+    check_render_mode(render_mode, ["rgb_array"])
 
 
 def check_render_mode(mode, modes):
@@ -33,10 +35,13 @@ def check_render_mode(mode, modes):
         raise ValueError(f"render_mode is {mode!r}, it must be None or one of {', '.join(modes)}")
 
 
-def load_scenes(scenes):
-    """The Scenes of a list of names, paths or Scenes."""
-    if isinstance(scenes, (str, Scene)) or len(scenes) == 0:
+def load_scenes(scenes, most=None):
+    """The Scenes of a list of names, paths or Scenes. most: how many robots there are for them."""
+    if not isinstance(scenes, (list, tuple)) or len(scenes) == 0:
         raise ValueError(f"scenes is {scenes!r}, it must be a list such as ['env1']")
+    if most is not None and len(scenes) > most:
+        raise ValueError(f"scenes has {len(scenes)} entries, it must have at most {most}, one for "
+                         "each robot")
     return [scene if isinstance(scene, Scene) else scene_files.load(scene) for scene in scenes]
 
 
@@ -56,7 +61,9 @@ def target_choices(targets, scenes):
         sets = {"training": everyone[:training], "new": everyone[training:], "both": everyone}
         if named and targets not in sets:
             raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(sets)}")
-        if not named and targets[r] not in everyone:
+        whole = named or (isinstance(targets[r], (int, np.integer))
+                          and not isinstance(targets[r], bool))
+        if not whole or (not named and targets[r] not in everyone):
             raise ValueError(f"targets[{r}] is {targets[r]!r}, it must be from 0 to "
                              f"{len(everyone) - 1}: an index into the targets of {scene.name}")
         chosen = sets[targets] if named else np.array([targets[r]])
@@ -82,6 +89,8 @@ def check_options(options, scenes):
     """The options of a reset: a dict that may hold `target`, indices (R,), and `start`, poses
     (R, 3). Each may be given as one for all robots. scenes: one for each robot."""
     checked = {}
+    if options is not None and not isinstance(options, dict):
+        raise ValueError(f"options is {options!r}, it must be a dict")
     for key, value in (options or {}).items():
         if key == "target":
             checked[key] = check_targets(value, scenes)

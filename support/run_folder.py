@@ -22,11 +22,14 @@ class RunError(ValueError):
 def write(path, content):
     """A whole file or none: text, or a function that writes to the path it is given."""
     partial = path.with_name(f".{path.name}")
-    if callable(content):
-        content(partial)
-    else:
-        partial.write_text(content + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    try:
+        if callable(content):
+            content(partial)
+        else:
+            partial.write_text(content + "\n", encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def new_folder(name):
