@@ -169,6 +169,7 @@ def test_a_frozen_evaluation_counts_its_quota_and_changes_nothing():
 
 
 def test_a_policys_traces_are_those_of_one_robot_that_drives_one_episode_after_the_other():
+    """The twin drives the recorded commands: would it drive its own, rounding would add up."""
     net = lively_network()
     _, traces = evaluate(Policy(net, "mean", 0), [ENV1], 20, "perturbed", actions="mean")
     assert len(traces) == 40 and len({len(trace.commands) for trace in traces}) > 5
@@ -177,14 +178,15 @@ def test_a_policys_traces_are_those_of_one_robot_that_drives_one_episode_after_t
         seen, info = env.reset(options={"target": trace.target, "start": trace.start})
         state = net.initial_state(1)
         poses = [info["pose"]]
-        over = False
-        while not over:
+        for k, command in enumerate(trace.commands):
             one = {key: value[None] for key, value in seen.items()}
             action, _, _, _, state = net.act(one, state, torch.Generator())
-            seen, _, terminated, truncated, info = env.step(action[0].numpy())
+            bounded = action[0].numpy().clip((0, -1), (1, 1))
+            assert np.allclose(bounded * MAX_COMMAND, command, atol=1e-3)
+            seen, _, terminated, truncated, info = env.step(command / MAX_COMMAND)
             poses.append(info["pose"])
-            over = terminated or truncated
-        assert len(poses) == len(trace.poses) and np.allclose(poses, trace.poses, atol=1e-3)
+            assert (terminated or truncated) == (k == len(trace.commands) - 1)
+        assert np.allclose(poses, trace.poses, atol=1e-6)
         assert (OUTCOMES[info["outcome"]], info["new"]) == (trace.outcome, trace.new)
 
 
