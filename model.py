@@ -71,7 +71,7 @@ class Memory(nn.Module):
         super().__init__()
         self.recurrent = recurrent
         if recurrent:
-            self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN, batch_first=True))
+            self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN))
             # Rows of the weights, torch's order: input gate, forget gate, candidate, output gate.
             clearing = self.layer.weight_ih_l0.detach()[:, -1].view(4, HIDDEN)
             clearing[:] = torch.tensor([SHUT, SHUT, 0, SHUT])[:, None]
@@ -84,10 +84,13 @@ class Memory(nn.Module):
         if not self.recurrent:
             return torch.relu(self.layer(x)), state
         clear = ~mask[..., None]
-        x = torch.cat([x, clear], -1)
-        h, c = state.transpose(0, 1).unsqueeze(1).contiguous()  # (1, M, HIDDEN) each, as torch asks
-        y, (h, c) = self.layer(x, (h, c))
-        return y, torch.cat([h, c]).transpose(0, 1)
+        x = torch.cat([x, clear], -1).transpose(0, 1)  # (T, M, inputs + 1)
+        h, c = state.unbind(1)  # (M, HIDDEN) each
+        if len(x) == 1:  # a step on the road: torch's LSTM would lay out its weights anew for it
+            h, c = torch.lstm_cell(x[0], (h, c), *self.layer.all_weights[0])
+            return h[:, None], torch.stack([h, c], 1)
+        y, (h, c) = self.layer(x.contiguous(), (h[None].contiguous(), c[None].contiguous()))
+        return y.transpose(0, 1), torch.cat([h, c]).transpose(0, 1)
 
 
 class Network(nn.Module):
@@ -155,7 +158,7 @@ class Network(nn.Module):
         """The distribution of actions (M, T, 2) from the dense layer's output (M, T, HIDDEN)."""
         linear, angular = self.action(x).unbind(-1)
         mean = torch.stack([torch.sigmoid(linear), torch.tanh(angular)], -1)  # paper III-C
-        return Normal(mean, self.log_std.exp())
+        return Normal(mean, self.log_std.exp(), validate_args=False)
 
     def forward(self, observations, state, mask=None):
         """Observations and the memory before them -> distribution of actions (M, T, 2), values
@@ -199,7 +202,7 @@ class Network(nn.Module):
         mean = distribution.mean[:, 0].cpu()
         std = distribution.stddev[:, 0].cpu()
         actions = torch.normal(mean, std, generator=generator)
-        log_probs = Normal(mean, std).log_prob(actions).sum(-1)
+        log_probs = Normal(mean, std, validate_args=False).log_prob(actions).sum(-1)
         return mean, actions, log_probs, values[:, 0].cpu(), state
 
 

@@ -17,16 +17,17 @@ from torch.nn.utils.rnn import pad_sequence
 
 VALUE_WEIGHT = 0.5  # of the value loss beside the policy loss, our choice
 MAX_GRADIENT_NORM = 0.5  # longer gradients are scaled down to it, our choice
+STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction")
 
 
 @dataclass
 class Episode:
-    """What the policy saw, did and got in one whole episode, as tensors over its T steps."""
-    observations: dict  # of (T, ...) tensors, as the environment gives them
-    actions: torch.Tensor  # (T, 2) as sampled, before clipping
-    log_probs: torch.Tensor  # (T,) of the actions, when they were taken
-    values: torch.Tensor  # (T,) predicted when they were taken
-    rewards: torch.Tensor  # (T,) scaled
+    """What the policy saw, did and got in one whole episode, as arrays over its T steps."""
+    observations: dict  # of (T, ...) arrays, as the environment gives them
+    actions: np.ndarray  # (T, 2) as sampled, before clipping
+    log_probs: np.ndarray  # (T,) of the actions, when they were taken
+    values: np.ndarray  # (T,) predicted when they were taken
+    rewards: np.ndarray  # (T,) scaled
     last_value: float  # predicted for the last observation; 0 if the episode was terminated
 
     def __len__(self):
@@ -73,18 +74,18 @@ class Collector:
     def _store(self, **step):
         """Keeps a step of all robots, name -> (R, ...)."""
         for name, value in step.items():
-            value = torch.as_tensor(value)
+            value = np.asarray(value)
             if name not in self._steps:
                 self._steps[name] = self._room_for(value)
             self._steps[name][np.arange(len(value)), self._length] = value
 
     def _room_for(self, value):
         """Zeros (R, longest episode, ...) for steps like that one (R, ...)."""
-        return value.new_zeros(len(value), self.env.max_episode_steps, *value.shape[1:])
+        return np.zeros((len(value), self.env.max_episode_steps, *value.shape[1:]), value.dtype)
 
     def _take_episode(self, r, last_value):
         """The whole episode that robot r has ended."""
-        steps = {name: value[r, :self._length[r]].clone() for name, value in self._steps.items()}
+        steps = {name: value[r, :self._length[r]].copy() for name, value in self._steps.items()}
         observations = {name: steps.pop(name) for name in self._observations}
         self._length[r] = 0
         return Episode(observations, **steps, last_value=float(last_value))
@@ -107,7 +108,7 @@ class Collector:
         return {"env": self.env.state(), "generator": self.generator.get_state(),
                 "observations": {key: value.copy() for key, value in self._observations.items()},
                 "memory": self._memory.clone(), "length": self._length.copy(),
-                "steps": {name: value[:, :longest].clone() for name, value in self._steps.items()}}
+                "steps": {name: value[:, :longest].copy() for name, value in self._steps.items()}}
 
     def load_state(self, state):
         """Goes on from a state of a collector that was made in the same way."""
@@ -129,12 +130,12 @@ def advantages(rewards, values, last_value, gamma, lam):
     rewards, values: (T,). last_value is V_T: the value of the last observation where time ran out,
     0 where the episode was terminated. Returns (T,).
     """
-    next_values = torch.cat([values[1:], values.new_tensor([last_value])])
+    next_values = np.append(values[1:], last_value)
     deltas = rewards + gamma * next_values - values
-    A = deltas.tolist()  # one number at a time is faster with numbers than with tensors
+    A = deltas.tolist()  # one number at a time is faster with numbers than with arrays
     for t in reversed(range(len(A) - 1)):
         A[t] += gamma * lam * A[t + 1]
-    return values.new_tensor(A)
+    return np.array(A, np.float32)
 
 
 def pack_rows(lengths):
@@ -164,25 +165,25 @@ def make_minibatch(episodes, batch_advantages, device=None):
 
     def pack(sequences):
         """(M, T, ...) from a (length, ...) tensor for each episode."""
-        parted = [torch.cat([steps, torch.zeros_like(steps[:1])]) for steps in sequences]
-        packed = [torch.cat([parted[k] for k in row]) for row in rows]
+        parted = [np.concatenate([steps, np.zeros_like(steps[:1])]) for steps in sequences]
+        packed = [torch.as_tensor(np.concatenate([parted[k] for k in row])) for row in rows]
         return pad_sequence(packed, batch_first=True).to(device)
 
     observations = {key: pack([episode.observations[key] for episode in episodes])
                     for key in episodes[0].observations if key != "image"}
     images = [episodes[k].observations["image"] for row in rows for k in row]
-    observations["image"] = torch.cat(images).to(device)
+    observations["image"] = torch.as_tensor(np.concatenate(images)).to(device)
     return {"observations": observations,
             "actions": pack([episode.actions for episode in episodes]),
             "log_probs": pack([episode.log_probs for episode in episodes]),
             "advantages": pack(batch_advantages),
             # What the values should have foretold: a return is A + V, by the definition of A.
             "returns": pack([A + e.values for A, e in zip(batch_advantages, episodes)]),
-            "mask": pack([torch.ones(len(e), dtype=torch.bool) for e in episodes])}
+            "mask": pack([np.ones(len(e), bool) for e in episodes])}
 
 
 def losses(model, batch, eps):
-    """The clipped policy loss, Eq. (3), and the value loss of a minibatch, and statistics.
+    """The clipped policy loss, Eq. (3), and the value loss of a minibatch, and its STATISTICS.
 
     Every mean is over the real steps alone.
     """
@@ -197,48 +198,48 @@ def losses(model, batch, eps):
     policy_loss = -objective.mean()
     value_loss = mse_loss(values[mask], batch["returns"][mask])
     with torch.no_grad():
-        statistics = {"policy_loss": policy_loss, "value_loss": value_loss,
-                      "entropy": distribution.entropy().sum(-1)[mask].mean(),
-                      "kl": (r - 1 - log_r).mean(),  # estimator k3, never negative
-                      "clip_fraction": ((r - 1).abs() > eps).float().mean()}
+        entropy = distribution.entropy().sum(-1)[mask].mean()
+        kl = (r - 1 - log_r).mean()  # estimator k3, never negative
+        clip_fraction = ((r - 1).abs() > eps).float().mean()
+        statistics = torch.stack([policy_loss, value_loss, entropy, kl, clip_fraction])
     return policy_loss, value_loss, statistics
 
 
-def mean_and_std(A, processes):
-    """Mean and standard deviation of the advantages [(T,), ...] of all processes together."""
-    mine = torch.cat(A).double()
-    sums = torch.stack([torch.ones_like(mine).sum(), mine.sum(), (mine ** 2).sum()])
-    count, total, squares = processes.sum(sums).tolist()
-    mean = total / count
-    variance = max(squares / count - mean ** 2, 0)  # rounding may leave it below 0
-    return mean, variance ** 0.5
+def gradient(model, batch, eps):
+    """The gradient of a minibatch's loss, one vector of all weights, and its STATISTICS."""
+    policy_loss, value_loss, statistics = losses(model, batch, eps)
+    loss = policy_loss + VALUE_WEIGHT * value_loss
+    gradients = torch.autograd.grad(loss, list(model.parameters()), materialize_grads=True)
+    return torch.cat([one.flatten() for one in gradients]), statistics
 
 
-def update(model, optimizer, episodes, config, rng, processes):
+def update(model, optimizer, learning_rate, episodes, config, rng, processes):
     """K epochs of minibatches of whole episodes, Algorithm 1. Returns the statistics' means.
 
     config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
-    processes: what several processes share (support/processes.py); one alone shares nothing.
+    processes: those that share the work (support/processes.py); one alone does all of it.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
-    mean, std = mean_and_std(A, processes)
-    device = model.log_std.device
-    history = {}
+    errors = np.concatenate(A)  # of the values, in foretelling the returns
+    lengths = np.array([len(episode) for episode in episodes])
+    history = []
     for _ in range(config.epochs):
         for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
-            batch = make_minibatch([episodes[k] for k in chosen], [A[k] for k in chosen], device)
-            batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)  # padding too: unused
-            policy_loss, value_loss, statistics = losses(model, batch, config.clip)
-            optimizer.zero_grad()
-            (policy_loss + VALUE_WEIGHT * value_loss).backward()
-            processes.average_gradients(model, int(batch["mask"].sum()))
-            torch.nn.utils.clip_grad_norm_(model.parameters(), MAX_GRADIENT_NORM)
-            optimizer.step()
-            for name, value in statistics.items():
-                history.setdefault(name, []).append(value.item())
-    statistics = {name: float(np.mean(values)) for name, values in history.items()}
+            mine = processes.share(chosen, lengths)
+            batch = make_minibatch([episodes[k] for k in mine], [A[k] for k in mine],
+                                   model.log_std.device)
+            # Padding too, which is not used.
+            batch["advantages"] = (batch["advantages"] - errors.mean()) / (errors.std() + 1e-8)
+            slope, statistics = gradient(model, batch, config.clip)
+            weight = lengths[mine].sum() / lengths[chosen].sum()
+            slope, statistics = processes.average(slope, statistics, weight)
+            norm = slope.norm().item()
+            if norm > MAX_GRADIENT_NORM:
+                slope *= MAX_GRADIENT_NORM / norm
+            optimizer.step(slope, learning_rate)
+            history.append(statistics)
+    statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
     # 1 where the values foretold the returns, 0 where they knew nothing of them.
-    errors = torch.cat(A)
-    returns = errors + torch.cat([episode.values for episode in episodes])
-    statistics["explained_variance"] = float(1 - errors.var() / returns.var())
+    returns = errors + np.concatenate([episode.values for episode in episodes])
+    statistics["explained_variance"] = float(1 - errors.var() / max(returns.var(), 1e-12))
     return statistics

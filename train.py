@@ -5,21 +5,21 @@ leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.pn
 summary.json.
 """
 
-import copy
+import math
 import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 import scenes as scene_files
 from model import BLANKS, MEMORIES, REWARD_SCALE, make_network
 from navbot_min import ARRIVAL, OUTCOMES, NavVecEnv
-from ppo import Collector, Episode, update
+from ppo import Collector, update
 from sim import SceneError
+from support.adam import Adam
 from support.command_line import CommandLine, option
 from support.processes import check_run, join_processes
 from support.run_folder import NoFolder, RunFolder, new_folder
@@ -43,6 +43,7 @@ class Config:
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     without: str = option("", "an input that the network has to do without", choices=BLANKS)
     episodes_per_update: int = option(32, "N of Algorithm 1", 1)
+    workers: int = option(0, "processes that share the robots; 0 for the cores it may use", 0)
     epochs: int = option(2, "K of Algorithm 1", 1)
     minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
     learning_rate: float = option(6e-4, "of Adam", 1e-9, 1.0)
@@ -58,18 +59,15 @@ class Config:
 class Record:
     """What happened so far: every episode, and the success rates that Algorithm 1 looks at."""
 
-    def __init__(self, scenes):
-        """scenes: the scene of each of the environment's scenes; of a mirrored one the true one."""
-        self.scenes = scenes
+    def __init__(self):
         self.steps = 0
         self.episodes = []  # rows of episodes.csv
         self._last = {"training": deque(maxlen=WINDOW), "new": deque(maxlen=WINDOW)}
 
     def add(self, info):
-        """Adds an episode; returns its row of episodes.csv, where a target of the mirrored room is
-        named by its place in the true one."""
-        x, y = self.scenes[info["scene"]].targets[info["target_index"]]
-        row = {"steps": self.steps, "target_x": x.item(), "target_y": y.item(),
+        """Adds an episode; returns its row of episodes.csv."""
+        x, y = info["target"]
+        row = {"steps": info["steps"], "target_x": x, "target_y": y,
                "kind": "new" if info["new"] else "training",
                "outcome": OUTCOMES[info["outcome"]],
                "return": info["return"], "length": info["length"]}
@@ -100,7 +98,7 @@ class Record:
 
     def load_state(self, state):
         """Goes on from a state."""
-        self.__init__(self.scenes)
+        self.__init__()
         self.steps = state["steps"]
         for row in state["episodes"]:
             self._append(dict(row))
@@ -116,27 +114,28 @@ class Training:
         self.config = config
         self.processes = processes
         self.model = make_network(config.seed, config.memory, config.without).to(config.device)
-        self.optimizer = torch.optim.Adam(self.model.parameters(), config.learning_rate, eps=1e-5,
-                                          fused=True)
-        self.rng = np.random.default_rng([config.seed, processes.rank])  # shuffles
-        action_seed = int(self.rng.integers(2 ** 31))
-        env_seed = int(self.rng.integers(2 ** 31))
-        R = config.robots // processes.count
-        true_scenes = [scenes[r % len(scenes)] for r in range(R)]
-        self.env = self.make_env(scenes, R)
+        self.optimizer = Adam(self.model)
+        self.rng = np.random.default_rng(config.seed)  # shuffles, the same in all processes
+        own_rng = np.random.default_rng([config.seed, processes.rank])
+        env_seed, action_seed = own_rng.integers(2 ** 31, size=2).tolist()
+        mine = slice(processes.rank, None, processes.count)  # of all robots
+        self.scenes = [scenes[r % len(scenes)] for r in range(config.robots)][mine]
+        self.env = self.make_env(self.rooms(scenes)[mine])
         self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
-        self.record = Record(true_scenes)
+        self.record = Record()
         self.buffer = []  # episodes to training targets since the last update
-        self.buffer_is_full = False  # whether every process has its share of N episodes
 
-    def make_env(self, scenes, R):
-        """The environment. The last robots drive in mirrored rooms, which have no new targets, so
-        there they only train. Robot r's room is a picture of `scenes[r % len(scenes)]` always."""
+    def rooms(self, scenes):
+        """A room for each robot: the last robots drive in mirrored rooms, which have no new targets,
+        so there they only train. Robot r's room is a picture of `scenes[r % len(scenes)]` always."""
+        R = self.config.robots
         mirrors = [scene.mirrored() for scene in scenes]
         in_mirror = int(R * self.config.mirrored)
-        rooms = [scenes[r % len(scenes)] for r in range(R - in_mirror)]
-        rooms += [mirrors[r % len(scenes)] for r in range(R - in_mirror, R)]
-        return NavVecEnv(R, rooms, "both", self.config.random_starts)
+        return [(scenes if r < R - in_mirror else mirrors)[r % len(scenes)] for r in range(R)]
+
+    def make_env(self, rooms):
+        """The environment with a robot in each of these rooms."""
+        return NavVecEnv(len(rooms), rooms, "both", self.config.random_starts)
 
     def is_over(self):
         """Whether the steps are used up, or the paper's rule stops the run."""
@@ -147,17 +146,28 @@ class Training:
         return self.record.rule_is_met() and not self.config.fixed_budget
 
     def collect(self):
-        """One step of all robots. Stores the episodes to training targets that it ended (lines 4
-        and 5 of Algorithm 1), and returns the infos of all that it ended, in all processes."""
-        self.record.steps += self.config.robots
-        ended = self.collector.step()
-        for episode, info in ended:
-            if not info["new"]:  # what happens on the way to a new target is never learnt from
-                self.buffer.append(episode)
-        everyone = self.processes.gather(([info for _, info in ended], len(self.buffer)))
-        share = self.config.episodes_per_update // self.processes.count
-        self.buffer_is_full = min(stored for _, stored in everyone) >= share
-        return [info for infos, _ in everyone for info in infos]
+        """Drives all robots until the buffer holds N episodes to training targets, lines 3 to 5 of
+        Algorithm 1, or the steps are used up. Returns the infos of the episodes that ended, in all
+        processes, in their order."""
+        ended = []  # here: an episode, or None if it is not learnt from, and its info
+        stored = 0  # in all processes
+        while stored < self.config.episodes_per_update and self.record.steps < self.config.steps:
+            left = math.ceil((self.config.steps - self.record.steps) / self.config.robots)
+            for _ in range(min(self.processes.steps_alone, left)):
+                self.record.steps += self.config.robots
+                ended += [self._ended(*pair) for pair in self.collector.step()]
+            stored = self.processes.count_all(sum(not info["new"] for _, info in ended))
+        everyone = [pair for pairs in self.processes.gather(ended) for pair in pairs]
+        everyone.sort(key=lambda pair: pair[1]["steps"])
+        self.buffer = [episode for episode, _ in everyone if episode is not None]
+        return [info for _, info in everyone]
+
+    def _ended(self, episode, info):
+        """An episode that ended now. What happens on the way to a new target is never learnt from.
+        A target of the mirrored room is named by its place in the true one."""
+        info["steps"] = self.record.steps
+        info["target"] = self.scenes[info["scene"]].targets[info["target_index"]].tolist()
+        return (None if info["new"] else episode), info
 
     def learn(self):
         """One update by the episodes in the buffer, which it empties. Returns its statistics.
@@ -166,31 +176,26 @@ class Training:
         of them so does the standard deviation of the actions, to FINAL_STD.
         """
         left = max(1 - self.record.steps / self.config.steps, 0)
-        self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * left
-        statistics = update(self.model, self.optimizer, self.buffer, self.config, self.rng,
-                            self.processes)
+        statistics = update(self.model, self.optimizer, self.config.learning_rate * left,
+                            self.buffer, self.config, self.rng, self.processes)
         self.model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1))
-        self.buffer.clear()
-        self.buffer_is_full = False
+        self.buffer = []
         return statistics
 
     def state(self):
-        """All that changes, for `load_state`: tensors, arrays, numbers and text alone."""
-        return {"model": copy.deepcopy(self.model.state_dict()),
-                "optimizer": copy.deepcopy(self.optimizer.state_dict()),
-                "rng": self.rng.bit_generator.state, "buffer_is_full": self.buffer_is_full,
-                "collector": self.collector.state(), "record": self.record.state(),
-                "buffer": [dict(episode.__dict__) for episode in self.buffer]}
+        """All that changes, for `load_state`, between two updates."""
+        weights = {name: value.clone() for name, value in self.model.state_dict().items()}
+        return {"model": weights, "optimizer": self.optimizer.state(),
+                "rng": self.rng.bit_generator.state, "collector": self.collector.state(),
+                "record": self.record.state()}
 
     def load_state(self, state):
         """Goes on from a state of a training with the same config and scenes, exactly."""
         self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(copy.deepcopy(state["optimizer"]))
+        self.optimizer.load_state(state["optimizer"])
         self.rng.bit_generator.state = state["rng"]
         self.collector.load_state(state["collector"])
         self.record.load_state(state["record"])
-        self.buffer = [Episode(**fields) for fields in state["buffer"]]
-        self.buffer_is_full = state["buffer_is_full"]
 
 
 def train(training, folder):
@@ -216,22 +221,26 @@ def train(training, folder):
                disable=training.processes.rank > 0)
     try:
         while not training.is_over():  # line 2
-            ended = training.collect()  # lines 3, 4, 5
-            bar.update(training.config.robots)
-            for info in ended:  # several robots may end at one step: nothing counts after the stop
-                if not training.stopped_by_rule():
-                    folder.add_row("episodes.csv", record.add(info))  # lines 9, 10
-            if training.buffer_is_full and not training.stopped_by_rule():  # lines 6, 11
-                statistics = training.learn()  # lines 7, 8
-                speed = round(record.steps / (time.perf_counter() - begin), 1)
-                folder.add_row("updates.csv", {"steps": record.steps, **statistics,
-                                               "steps_per_second": speed})
-                bar.set_postfix(record.rates())
+            for info in training.collect():  # lines 3, 4, 5
+                folder.add_row("episodes.csv", record.add(info))  # lines 9, 10
+                if training.stopped_by_rule():  # line 11
+                    record.steps = info["steps"]  # what was driven after the stop does not count
+                    break
+            bar.set_postfix(record.rates(), refresh=False)
+            bar.update(record.steps - bar.n)
+            if not training.is_over():  # line 6
+                row = {"steps": record.steps} | training.learn()  # lines 7, 8
+                row["steps_per_second"] = round(record.steps / (time.perf_counter() - begin), 1)
+                folder.add_row("updates.csv", row)
     except KeyboardInterrupt:
         bar.write("interrupted: training ends here, and its policy is evaluated", file=sys.stderr)
-    bar.set_postfix(record.rates())
     bar.close()
     return time.perf_counter() - begin
+
+
+def train_along(config, scenes, processes):
+    """What every process does but the first, which writes for all."""
+    train(Training(config, scenes, processes), NoFolder())
 
 
 def main(argv=None):
@@ -241,24 +250,19 @@ def main(argv=None):
     check_run(config, parser)
     try:
         scenes = [scene_files.load(config.env)]
-        processes = join_processes(config.device)
+        processes = join_processes(config, train_along, scenes)
+        if processes.rank > 0:
+            return train_along(config, scenes, processes)
         training = Training(config, scenes, processes)
-        if processes.rank > 0:  # the first process writes for all
-            train(training, NoFolder())
-            return
-        default = f"runs/{scenes[0].name}-seed{config.seed}"
-        folder = RunFolder(config.out or new_folder(default), asdict(config))
+        path = config.out or new_folder(f"runs/{scenes[0].name}-seed{config.seed}")
+        folder = RunFolder(path, asdict(config))
     except (SceneError, OSError) as error:
         parser.error(error)
     print(f"run folder: {folder.path}", file=sys.stderr if config.json else sys.stdout)
     seconds = train(training, folder)
-    record = training.record
-    summary = {"env": scenes[0].name, "seed": config.seed, "steps": record.steps,
-               "episodes": len(record.episodes), "seconds": round(seconds, 2),
-               "stopped_by_rule": training.stopped_by_rule(),
-               "rolling_new_success": record.success("new"), "frozen": None}
+    processes.close()
     from evaluation.after_training import finish  # the lesson can do without, up to here
-    finish(folder, training.model, scenes, record.episodes, summary, config, SUCCESS_RATE)
+    finish(folder, training, scenes, seconds, SUCCESS_RATE)
 
 
 if __name__ == "__main__":

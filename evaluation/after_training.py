@@ -10,11 +10,18 @@ from support.pictures import draw_curves
 from support.run_folder import save_model
 
 
-def finish(folder, model, scenes, episodes, summary, config, stop_rate):
-    """Saves the run, evaluates its policy and completes the summary, whose `frozen` is still None.
+def finish(folder, training, scenes, seconds, stop_rate):
+    """Saves the run, evaluates its policy and writes the summary.
 
-    episodes: rows of episodes.csv. config: has `seed`, `evaluation_episodes` and `json`.
+    training: what `train.train` has brought to its end. seconds: how long that took.
     """
+    config = training.config
+    model = training.model
+    episodes = training.record.episodes
+    summary = {"env": scenes[0].name, "seed": config.seed, "steps": training.record.steps,
+               "episodes": len(episodes), "seconds": round(seconds, 2),
+               "stopped_by_rule": training.stopped_by_rule(),
+               "rolling_new_success": training.record.success("new"), "frozen": None}
     save_model(folder.path / "model.pt", model, scenes)
     curves = draw_curves(episodes, summary["env"], stop_rate)
     folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))

@@ -29,6 +29,7 @@ import scenes
 from evaluation import Policy, evaluate
 from model import HIDDEN, Network, orthogonal
 from navbot_min import LOWEST_ACTION, NavVecEnv
+from support.adam import Adam
 from support.command_line import CommandLine, option
 from support.pictures import read_table
 from support.processes import OneProcess
@@ -40,6 +41,7 @@ RUNS = Path("runs") / "released-learner"
 STEPS = 270_000  # about as many as the released record of env1 has
 SEEDS = (0, 1, 2)
 EPISODES = 1000  # of the frozen evaluation, to targets of each kind
+OUR_GRADIENT = ppo.gradient
 
 
 # ------------------------------------------------------------------------------- the single changes
@@ -187,6 +189,12 @@ VARIANTS = {
     "released": Variant(False, False, False, False, False, one_robot=True)}
 
 
+def gradient_of_returns(model, batch, eps):
+    """As `ppo.gradient`, with the discounted returns as they are for advantages."""
+    batch["advantages"] = batch["returns"]
+    return OUR_GRADIENT(model, batch, eps)
+
+
 class VariedTraining(Training):
     """A Training of a variant."""
 
@@ -200,19 +208,18 @@ class VariedTraining(Training):
             torch.manual_seed(config.seed)
             self.model = network(config.memory, config.without)
         self.collector.model = self.model
-        self.optimizer = torch.optim.Adam(self.model.parameters(), config.learning_rate, eps=1e-5,
-                                          fused=True)
+        self.optimizer = Adam(self.model)
         if not variant.through_time:
             self.env.collector = self.collector
 
-    def make_env(self, rooms, R):
+    def make_env(self, rooms):
         parts = []
         if not self.variant.wrapped:
             parts.append(UnwrappedBearing)
         if not self.variant.through_time:
             parts.append(StoredMemory)
         kind = type("VariedEnv", (*parts, NavVecEnv), {})
-        return kind(R, rooms, "both", self.config.random_starts)
+        return kind(len(rooms), rooms, "both", self.config.random_starts)
 
     def learn(self):
         if self.variant.one_robot:
@@ -221,31 +228,29 @@ class VariedTraining(Training):
             return super().learn()
         else:
             statistics = self.learn_without()
-        self.buffer.clear()
-        self.buffer_is_full = False
+        self.buffer = []
         return statistics
 
     def learn_without(self):
         """An update without annealing or without a baseline: A are the discounted returns as they
         are, and no value is learnt."""
         left = max(1 - self.record.steps / self.config.steps, 0)
-        if self.variant.annealing:
-            self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * left
+        rate = self.config.learning_rate * (left if self.variant.annealing else 1)
         if self.variant.baseline:
-            return ppo.update(self.model, self.optimizer, self.buffer, self.config, self.rng,
+            return ppo.update(self.model, self.optimizer, rate, self.buffer, self.config, self.rng,
                               self.processes)
         for episode in self.buffer:
-            episode.values = torch.zeros_like(episode.values)
+            episode.values = np.zeros_like(episode.values)
             episode.last_value = 0.0
         config = Config(**asdict(self.config) | {"lam": 1.0})
-        kept = ppo.VALUE_WEIGHT, ppo.mean_and_std
+        kept = ppo.VALUE_WEIGHT, ppo.gradient
         ppo.VALUE_WEIGHT = 0.0
-        ppo.mean_and_std = lambda A, processes: (0.0, 1.0)
+        ppo.gradient = gradient_of_returns
         try:
-            statistics = ppo.update(self.model, self.optimizer, self.buffer, config, self.rng,
+            statistics = ppo.update(self.model, self.optimizer, rate, self.buffer, config, self.rng,
                                     self.processes)
         finally:
-            ppo.VALUE_WEIGHT, ppo.mean_and_std = kept
+            ppo.VALUE_WEIGHT, ppo.gradient = kept
         if self.variant.annealing:
             self.anneal_std(left)
         return statistics
@@ -259,10 +264,11 @@ class VariedTraining(Training):
         """50 steps of Adam, each on a random tenth of the steps of 10 episodes; the ratio is
         clipped to [1 / 1.2, 1.2], and the objective averaged over the two actions."""
         gamma = self.config.gamma
-        returns = torch.cat([ppo.advantages(e.rewards, torch.zeros_like(e.values), 0.0, gamma, 1.0)
-                             for e in self.buffer])
-        actions = torch.cat([e.actions for e in self.buffer])
-        seen = {key: torch.cat([e.observations[key] for e in self.buffer])
+        returns = torch.tensor(np.concatenate(
+            [ppo.advantages(e.rewards, np.zeros_like(e.values), 0.0, gamma, 1.0)
+             for e in self.buffer]))
+        actions = torch.tensor(np.concatenate([e.actions for e in self.buffer]))
+        seen = {key: torch.tensor(np.concatenate([e.observations[key] for e in self.buffer]))
                 for key in self.buffer[0].observations}
         with torch.no_grad():
             before = self.log_probs_of(seen, actions)
@@ -272,9 +278,10 @@ class VariedTraining(Training):
             r = (self.log_probs_of(some, actions[chosen]) - before[chosen]).exp()  # (B, 2)
             A = returns[chosen, None]
             loss = -torch.min(r * A, r.clamp(1 / 1.2, 1.2) * A).mean()
-            self.optimizer.zero_grad()
-            loss.backward()
-            self.optimizer.step()
+            gradients = torch.autograd.grad(loss, list(self.model.parameters()),
+                                            materialize_grads=True)
+            self.optimizer.step(torch.cat([one.flatten() for one in gradients]),
+                                self.config.learning_rate)
         return {"policy_loss": loss.item()}
 
     def log_probs_of(self, seen, actions):
@@ -286,7 +293,8 @@ class VariedTraining(Training):
 
 def config_of(variant, seed, steps):
     """The Config of a run: one start pose, one room, all the steps."""
-    config = Config(seed=seed, steps=steps, fixed_budget=True, random_starts=0.0, mirrored=0.0)
+    config = Config(seed=seed, steps=steps, fixed_budget=True, workers=1, random_starts=0.0,
+                    mirrored=0.0)
     if variant.one_robot:
         config.robots = 1
         config.episodes_per_update = 10

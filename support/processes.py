@@ -1,15 +1,34 @@
-"""What several processes share that train together, as `torchrun --nproc-per-node 2 train.py`
-starts them: the robots, the episodes of an update, the gradients.
+"""What several processes share that train together: the robots, the episodes, the gradients.
 
-A reader of the lesson can skip this file: `OneProcess`, the usual case, does nothing.
+A reader of the lesson can skip this file: `OneProcess` does nothing. The others have the same
+methods. `Worker` is one of several processes on this machine, as `--workers 2` starts them;
+`Torchrun` one of those that `torchrun --nproc-per-node 2 train.py` starts, on one machine or many.
+
+Every process drives its own robots for `steps_alone` steps at a time. Then they tell each other how
+many episodes they have; at an update they give each other these episodes, and each minibatch is cut
+into parts, one for each process. Every sum is taken in the same order everywhere, so that the same
+number of processes gives the same bytes.
+
+Why processes, and not threads? Python runs one thread at a time, and the world and the camera are
+Python: two threads drive no faster than one.
 """
 
 import atexit
+import multiprocessing
 import os
+import pickle
+import signal
+import sys
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import distributed
+
+MOST_WORKERS = 4  # unless more are asked for: with fewer than 8 robots each, overhead takes over
+STEPS_ALONE = 4  # from one count of the episodes to the next
+SLOT = 2 ** 23  # bytes that a process can show the others at once
+PATIENCE = 1.0  # [s] of waiting for the others, after which it looks whether they are alive
 
 
 class OneProcess:
@@ -17,22 +36,162 @@ class OneProcess:
 
     rank = 0  # which of the processes this is
     count = 1  # how many there are
+    steps_alone = 1  # steps of all robots from one count of the episodes to the next
 
     def gather(self, mine):
         """What every process has, in the order of their ranks."""
         return [mine]
 
+    def count_all(self, mine):
+        """How many all processes have together, where this one has so many."""
+        return mine
+
+    def share(self, items, sizes):
+        """Those of the items that are this process's. sizes: how much work each is, by item."""
+        return items
+
+    def average(self, gradient, statistics, weight):
+        """The means of gradient and statistics over all processes, whose weights add up to 1."""
+        return gradient, statistics
+
+    def close(self):
+        """Ends the other processes, if this one started them."""
+
+
+class _OneOfMany:
+    """One of several processes that drive robots of their own and cut minibatches into parts."""
+
+    steps_alone = STEPS_ALONE
+
+    def count_all(self, mine):
+        """How many all processes have together, where this one has so many."""
+        return int(self.sum(torch.tensor([float(mine)])))
+
+    def share(self, items, sizes):
+        """Those of the items that are this process's: the largest first, each goes to the process
+        that has the least to do so far."""
+        work = np.zeros(self.count)
+        mine = []
+        for item in sorted(items, key=lambda item: -sizes[item]):
+            least = work.argmin()
+            work[least] += sizes[item]
+            if least == self.rank:
+                mine.append(item)
+        return np.array(mine)
+
+    def average(self, gradient, statistics, weight):
+        """The means of gradient and statistics over all processes, whose weights add up to 1."""
+        total = self.sum(torch.cat([gradient, statistics]).mul_(weight))
+        return total.split([len(gradient), len(statistics)])
+
+    def close(self):
+        """Nothing is left to do."""
+
+
+class Gone(Exception):
+    """Another of the processes has ended."""
+
+
+class Board:
+    """Shared memory in which processes show each other what they have, and meet."""
+
+    def __init__(self, context, count):
+        self.memory = context.RawArray("B", 2 * count * SLOT)
+        self.closed = context.RawValue("B", 0)
+        self.arrived = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
+
+
+class Worker(_OneOfMany):
+    """One of several processes on this machine."""
+
+    def __init__(self, rank, count, board):
+        self.rank = rank
+        self.count = count
+        self.started = []  # the processes that this one started
+        self._board = board
+        # Two slots for each process, used in turn: nobody writes into what others may still read.
+        self._slots = np.frombuffer(board.memory, np.uint8).reshape(2, count, SLOT)
+        self._turn = 0
+
+    def gather(self, mine):
+        """What every process has, in the order of their ranks."""
+        content = pickle.dumps(mine, protocol=pickle.HIGHEST_PROTOCOL)
+        sizes = self._show(np.array([len(content)])).view(np.int64)[:, 0].copy()
+        parts = [bytearray() for _ in range(self.count)]
+        for start in range(0, max(sizes), SLOT):
+            shown = self._show(np.frombuffer(content[start:start + SLOT], np.uint8), SLOT)
+            for part, slot, size in zip(parts, shown, sizes):
+                part += slot[:max(min(size - start, SLOT), 0)].data
+        return [pickle.loads(part) for part in parts]
+
     def sum(self, tensor):
         """The sum of that tensor over all processes."""
-        return tensor
+        array = tensor.numpy()
+        shown = self._show(array.reshape(-1)).view(array.dtype)  # (processes, values)
+        return torch.from_numpy(shown.sum(0)).view_as(tensor)
 
-    def average_gradients(self, model, steps):
-        """Makes the gradients those of the minibatches of all processes together, whose losses are
-        means over so many steps each."""
+    def _show(self, array, size=None):
+        """Shows the others an array (n,), and returns what all show, (processes, bytes). They
+        may change what is shown as soon as this process shows something else."""
+        size = array.nbytes if size is None else size
+        slots = self._slots[self._turn]
+        self._turn = 1 - self._turn
+        slots[self.rank, :array.nbytes] = array.view(np.uint8)
+        self._meet()
+        return slots[:, :size]
+
+    def _meet(self):
+        """Waits until all processes are here."""
+        others = [other for other in range(self.count) if other != self.rank]
+        for other in others:
+            self._board.arrived[self.rank][other].release()
+        for other in others:
+            while not self._board.arrived[other][self.rank].acquire(timeout=PATIENCE):
+                self._check_others()
+
+    def _check_others(self):
+        parent = multiprocessing.parent_process()
+        alive = [process.is_alive() for process in self.started]
+        if parent is not None:
+            alive.append(parent.is_alive())
+        if self._board.closed.value or not all(alive):
+            raise Gone
+
+    def close(self):
+        """Ends the processes that this one started."""
+        self._board.closed.value = 1
+        for process in self.started:
+            process.join(2 * PATIENCE)
+            process.kill()
 
 
-class ManyProcesses:
-    """One of several processes, each with the same methods as `OneProcess`."""
+def _start_worker(work, arguments, rank, count, board):
+    """What a process does that was started to work along."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the first process decides
+    torch.set_num_threads(1)
+    try:
+        work(*arguments, Worker(rank, count, board))
+    except Gone:
+        pass
+
+
+def start_workers(count, work, *arguments):
+    """Starts processes that call work(*arguments, processes), count - 1 of them. Returns the
+    `processes` of this one, the first."""
+    # A forked process has all modules already, without a second of importing and a copy of them.
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    board = Board(context, count)
+    first = Worker(0, count, board)
+    for rank in range(1, count):
+        process = context.Process(target=_start_worker, daemon=True,
+                                  args=(work, arguments, rank, count, board))
+        process.start()
+        first.started.append(process)
+    return first
+
+
+class Torchrun(_OneOfMany):
+    """One of the processes that torchrun started."""
 
     def __init__(self):
         distributed.init_process_group()
@@ -51,37 +210,66 @@ class ManyProcesses:
         distributed.all_reduce(tensor)
         return tensor
 
-    def average_gradients(self, model, steps):
-        """Makes the gradients those of the minibatches of all processes together, whose losses are
-        means over so many steps each."""
-        some_parameter = next(model.parameters())
-        all_steps = self.sum(some_parameter.new_tensor(steps))
-        for parameter in model.parameters():
-            self.sum(parameter.grad.mul_(steps / all_steps))
+
+def available_cores():
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count()))
 
 
-def join_processes(device):
-    """This process among those that torchrun started, or the only one. On a GPU each takes one."""
-    if device == "cuda":
+def join_processes(config, work, scenes):
+    """This process among those that share a training: those that torchrun started, or the first of
+    `config.workers`, which it starts. The others call work(config, scenes, processes)."""
+    # One thread each: torch's own threads spin while they wait for each other, and on a core that
+    # something else keeps busy they wait long.
+    torch.set_num_threads(1)
+    if config.device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
-    several = int(os.environ.get("WORLD_SIZE", 1)) > 1
-    return ManyProcesses() if several else OneProcess()
+    if torchrun_count() > 1:
+        return Torchrun()
+    if config.workers > 1:
+        return start_workers(config.workers, work, config, scenes)
+    return OneProcess()
+
+
+def torchrun_count():
+    """How many processes torchrun started; 0 without it."""
+    return int(os.environ.get("WORLD_SIZE", 0))
+
+
+def default_workers(config):
+    """As many workers as there are cores to use, MOST_WORKERS at most, that can share the robots."""
+    if torchrun_count():
+        return torchrun_count()
+    if config.device == "cuda":
+        return 1
+    most = min(len(available_cores()), MOST_WORKERS,
+               config.episodes_per_update // config.minibatches)
+    return max(count for count in range(1, max(most, 1) + 1) if config.robots % count == 0)
 
 
 def check_run(config, parser):
     """Ends the program where a run cannot be begun: its folder exists, there is no such GPU, or the
-    robots and the episodes of an update cannot be shared evenly."""
+    robots and the episodes of a minibatch cannot be shared. Sets `config.workers` if it is 0."""
     writes = int(os.environ.get("RANK", 0)) == 0
     if writes and config.out and Path(config.out).exists():
         parser.error(f"--out '{config.out}' exists already, it must name a new folder")
     if config.device == "cuda" and not torch.cuda.is_available():
         parser.error("--device is cuda, but torch finds no such GPU here; it must be cpu")
-    count = int(os.environ.get("WORLD_SIZE", 1))
-    for flag, value in (("robots", config.robots),
-                        ("episodes-per-update", config.episodes_per_update)):
-        if value % count:
-            parser.error(f"--{flag} is {value}, it must be a multiple of the {count} processes")
-    most = config.episodes_per_update // count
-    if config.minibatches > most:
-        parser.error(f"--minibatches is {config.minibatches}, it must be at most {most}, the "
-                     "episodes of an update")
+    if config.minibatches > config.episodes_per_update:
+        parser.error(f"--minibatches is {config.minibatches}, it must be at most "
+                     f"{config.episodes_per_update}, the episodes of an update")
+    config.workers = config.workers or default_workers(config)
+    if torchrun_count() not in (0, config.workers):
+        parser.error(f"--workers is {config.workers}, under torchrun it must be left out")
+    if config.device == "cuda" and config.workers > 1 and not torchrun_count():
+        parser.error(f"--workers is {config.workers}, with --device cuda it must be 1; torchrun "
+                     "shares the work of several GPUs")
+    if config.robots % config.workers:
+        parser.error(f"--robots is {config.robots}, it must be a multiple of the "
+                     f"{config.workers} processes")
+    most = config.episodes_per_update // config.minibatches
+    if config.workers > most:
+        parser.error(f"--workers is {config.workers}, it must be at most {most}, the episodes of a "
+                     "minibatch")

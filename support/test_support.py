@@ -11,12 +11,18 @@ import numpy as np
 import pytest
 import torch
 
+import ppo
 import scenes
 import sim
 from model import make_network
 from scenes.test_scenes import square_room
+from support import processes
+from support.adam import Adam
+from support.processes import start_workers
 from support.ranges import range_readings
 from support.run_folder import RunError, RunFolder, load_run, new_folder, save_model, write
+from test_all import random_episodes
+from train import Config
 
 ROOT = Path(__file__).parent.parent
 ENV1 = scenes.load("env1")
@@ -118,61 +124,104 @@ TINY = ["--steps", "600", "--robots", "8", "--episodes-per-update", "8",
         "--evaluation-episodes", "4"]
 
 
-def start(processes, script, *arguments, cwd):
-    """Starts the script in so many processes that share the work; 0 is without torchrun."""
-    command = [sys.executable, str(script), *arguments]
-    if processes:
+def run_train(folder, out, *arguments, torchrun=0):
+    """Runs train.py, under torchrun in so many processes."""
+    command = [sys.executable, str(ROOT / "train.py"), "--env", "env1", *TINY, "--out", out,
+               *arguments]
+    if torchrun:
         command[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node",
-                        str(processes)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True)
-
-
-def test_one_process_under_torchrun_gives_what_no_torchrun_gives_and_two_share_the_work(tmp_path):
-    for processes in (0, 1, 2):
-        done = start(processes, ROOT / "train.py", "--env", "env1", *TINY, "--out",
-                     str(processes), cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    alone = (tmp_path / "0/episodes.csv").read_bytes()
-    assert (tmp_path / "1/episodes.csv").read_bytes() == alone
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "2"]
-    summary = json.loads((tmp_path / "2/summary.json").read_text())
-    rows = list(csv.DictReader(open(tmp_path / "2/episodes.csv")))
-    assert summary["steps"] == 600 and summary["episodes"] == len(rows) > 20
-    assert len(list(csv.reader(open(tmp_path / "2/updates.csv")))) > 1
-
-
-HALF = """
-import torch
-import ppo
-import test_all
-from support.processes import join_processes
-processes = join_processes("cpu")
-net = test_all.network()
-episodes = test_all.random_episodes([3, 9, 5])
-mine = episodes[:1] if processes.rank == 0 else episodes[1:]
-batch = ppo.make_minibatch(mine, [e.rewards for e in mine])
-sum(ppo.losses(net, batch, 0.2)[:2]).backward()
-processes.average_gradients(net, int(batch["mask"].sum()))
-mean_and_std = ppo.mean_and_std([e.rewards for e in mine], processes)
-torch.save(([p.grad for p in net.parameters()], mean_and_std), f"{processes.rank}.pt")
-"""
-
-
-def test_two_processes_have_the_gradients_and_the_advantages_of_one(tmp_path):
-    import ppo
-    import test_all
-    (tmp_path / "half.py").write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{HALF}")
-    done = start(2, tmp_path / "half.py", cwd=tmp_path)
+                        str(torchrun)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    net = test_all.network()
-    episodes = test_all.random_episodes([3, 9, 5])
-    batch = ppo.make_minibatch(episodes, [e.rewards for e in episodes])
-    sum(ppo.losses(net, batch, 0.2)[:2]).backward()
-    rewards = torch.cat([e.rewards for e in episodes])
-    (first, one), (second, other) = (torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1))
-    assert one == other == pytest.approx((rewards.mean().item(), rewards.std(correction=0).item()))
-    for parameter, a, b in zip(net.parameters(), first, second):
-        assert torch.equal(a, b) and torch.allclose(a, parameter.grad, rtol=1e-3, atol=1e-6)
+    return (folder / out / "episodes.csv").read_bytes()
+
+
+def test_torchrun_and_workers_share_a_training_and_write_the_same_bytes_again(tmp_path):
+    alone = run_train(tmp_path, "alone", "--workers", "1")
+    assert run_train(tmp_path, "torchrun-1", torchrun=1) == alone
+    shared = run_train(tmp_path, "workers-2", "--workers", "2")
+    assert run_train(tmp_path, "again", "--workers", "2") == shared != alone
+    assert run_train(tmp_path, "torchrun-2", torchrun=2) == shared
+    assert len(list(tmp_path.iterdir())) == 5  # the first process alone writes
+    summary = json.loads((tmp_path / "again/summary.json").read_text())
+    rows = list(csv.DictReader(open(tmp_path / "again/episodes.csv")))
+    assert summary["steps"] == 600 and summary["episodes"] == len(rows) > 20
+    assert len(list(csv.reader(open(tmp_path / "again/updates.csv")))) > 1
+    assert json.loads((tmp_path / "torchrun-2/config.json").read_text())["workers"] == 2
+
+
+def in_workers(count, work, *arguments):
+    """What work(*arguments, processes) returns in each of so many workers."""
+    def report(*arguments_and_workers):
+        workers = arguments_and_workers[-1]
+        workers.gather(work(*arguments_and_workers))
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # as in training: sums of several threads differ in the last bits
+    workers = start_workers(count, report, *arguments)
+    results = workers.gather(work(*arguments, workers))
+    workers.close()
+    torch.set_num_threads(threads)
+    return results
+
+
+def exchange(workers):
+    numbers = torch.arange(5.0) + 10 ** workers.rank
+    mine = bytes([workers.rank]) * (50 * workers.rank)
+    return [(workers.gather(mine), workers.sum(numbers).tolist(), workers.count_all(workers.rank))
+            for _ in range(3)]
+
+
+def test_workers_give_each_other_what_they_have_whatever_its_size(monkeypatch):
+    monkeypatch.setattr(processes, "SLOT", 64)  # 100 bytes take two turns
+    everyone = [b"", b"\1" * 50, b"\2" * 100]
+    expected = [(everyone, [111.0 + 3 * k for k in range(5)], 3)] * 3
+    assert in_workers(3, exchange) == [expected] * 3
+
+
+def weights_after_an_update(workers):
+    net = make_network(0)
+    config = Config(minibatches=2, epochs=1)
+    ppo.update(net, Adam(net), 1e-3, random_episodes([3, 9, 5, 1, 7, 12, 4]), config,
+               np.random.default_rng(0), workers)
+    return np.concatenate([parameter.detach().numpy().ravel() for parameter in net.parameters()])
+
+
+def test_workers_learn_together_what_one_learns_alone():
+    alone = weights_after_an_update(processes.OneProcess())
+    for count in (2, 3):
+        first, *others = in_workers(count, weights_after_an_update)
+        assert all((first == other).all() for other in others)  # to the last bit
+        before = np.concatenate([p.detach().numpy().ravel() for p in make_network(0).parameters()])
+        assert np.abs(first - alone).max() < 0.01 * np.abs(alone - before).max()
+
+
+def test_a_minibatch_is_cut_into_parts_of_nearly_the_same_size():
+    lengths = np.array([200, 3, 90, 40, 80, 25, 7, 61])
+    chosen = np.array([7, 0, 2, 4, 5, 6])
+    parts = []
+    for rank in range(3):
+        worker = processes.Worker.__new__(processes.Worker)
+        worker.rank, worker.count = rank, 3
+        parts.append(worker.share(chosen, lengths))
+    assert sorted(np.concatenate(parts)) == sorted(chosen)
+    assert [lengths[part].sum() for part in parts] == [200, 90 + 25 + 7, 80 + 61]
+
+
+# ------------------------------------------------------------------------------------------ Adam
+
+
+def test_adam_changes_the_weights_as_torchs_own():
+    net, twin = make_network(0), make_network(0)
+    own, torchs = Adam(net), torch.optim.Adam(twin.parameters(), 1e-3, eps=1e-5)
+    for seed in range(4):
+        gradients = [torch.randn_like(parameter) * seed for parameter in net.parameters()]
+        own.step(torch.cat([gradient.flatten() for gradient in gradients]), 1e-3)
+        for parameter, gradient in zip(twin.parameters(), gradients):
+            parameter.grad = gradient
+        torchs.step()
+    for one, other in zip(net.parameters(), twin.parameters()):
+        assert torch.allclose(one, other, atol=1e-6)
 
 
 # ------------------------------------------------------------------------------------ range sensors
