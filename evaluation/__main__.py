@@ -19,6 +19,7 @@ from evaluation.planners import PLANNERS
 from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS, protocol_scenes
 from sim import SceneError
 from support.command_line import CommandLine, option
+from support.cores import available_cores, one_thread
 from support.film import write_film
 from support.pictures import draw_floor, draw_trajectories
 from support.run_folder import RunError, load_run, write
@@ -36,6 +37,7 @@ class Options:
                        choices=HIDDEN)
     episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
     seed: int = option(0, "of every random number", 0, 2 ** 63 - 1)
+    workers: int = option(0, "processes that share the work; 0 for the cores it may use", 0)
     json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
 
 
@@ -59,6 +61,7 @@ def prepare(run, options):
         driver = Planned(options.planner, options.seed)
         name = options.planner
     else:
+        one_thread()
         model, chosen = load_run(run)
         # From the one start pose all episodes of deterministic actions would be the same.
         actions = "sampled" if options.protocol in ("start", "validation") else "mean"
@@ -134,9 +137,12 @@ def main(argv=None):
         examined.folder.mkdir(parents=True, exist_ok=True)
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
+    # Planners keep what they know to themselves.
+    workers = 1 if options.planner else options.workers or len(available_cores())
     try:
         result, traces = evaluate(examined.driver, examined.scenes, options.episodes,
-                                  options.protocol, options.seed, examined.actions, options.hide)
+                                  options.protocol, options.seed, examined.actions, options.hide,
+                                  workers=workers)
         text = json.dumps(result, indent=2)
         write(examined.folder / f"evaluation{examined.suffix}.json", text)
         print(text if options.json else f"{heading(examined, options)}\n{table(result)}")

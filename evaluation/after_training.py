@@ -28,7 +28,8 @@ def finish(folder, training, scenes, seconds, stop_rate):
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
     try:
-        summary["frozen"] = evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed)
+        summary["frozen"] = evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed,
+                                            config.workers)
     except KeyboardInterrupt:
         sys.exit("interrupted: the run is saved without its evaluation")
     folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
@@ -38,11 +39,12 @@ def finish(folder, training, scenes, seconds, stop_rate):
         print(json.dumps(summary, indent=2))
 
 
-def evaluate_frozen(model, scenes, episodes, seed):
+def evaluate_frozen(model, scenes, episodes, seed, workers):
     """What `evaluation.json` holds: fresh episodes with sampled actions, as in training, and
     whether the deterministic (mean) action arrives: from one start pose each episode is the same.
     """
-    frozen, _ = evaluate(Policy(model, "sampled", seed), scenes, episodes, seed=seed)
+    frozen, _ = evaluate(Policy(model, "sampled", seed), scenes, episodes, seed=seed,
+                         workers=workers)
     by_mean, _ = evaluate(Policy(model, "mean", seed), scenes, 1)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):
         target["mean_action_arrives"] = mean["success"] == 1

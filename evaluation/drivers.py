@@ -20,20 +20,25 @@ class Policy:
 
     def __init__(self, model, actions, seed):
         """model: a `model.Network`, or what has its `act` and `initial_state`. seed: of the sampled
-        actions. Raises ValueError for other actions."""
+        actions, with the seed of the environment that it drives in. Raises ValueError for other actions."""
         import torch  # here, for planners and measures do without it
         if actions not in ACTIONS:
             raise ValueError(f"actions is {actions!r}, it must be one of {', '.join(ACTIONS)}")
         self.label = f"policy, {ACTIONS[actions]} actions"
         self.model = model
         self.actions = actions
-        self.generator = torch.Generator().manual_seed(seed)
+        self.seed = seed
+        self.generator = torch.Generator()
+        self.env = None
         self.memory = None
 
     def reset(self, env, robots):
         """Clears the memory of those robots."""
-        if len(robots) == env.num_envs:  # at the very first, and it may be another environment
+        if env is not self.env:  # it begins to drive there
+            self.env = env
             self.memory = self.model.initial_state(env.num_envs)
+            seeds = np.random.SeedSequence([self.seed, env.np_random_seed])
+            self.generator.manual_seed(int(seeds.generate_state(1)[0]))
         self.memory[robots] = 0
 
     def act(self, env, observations):

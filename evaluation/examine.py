@@ -2,25 +2,57 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from evaluation.measures import ShortestPaths, summarise
 from evaluation.protocols import (HIDDEN, PROTOCOLS, Assignment, assign_all, make_environment,
                                   protocol_scenes)
 from navbot_min import NavVecEnv
 from support.checks import load_scenes
+from support.cores import in_processes
 from support.traces import drive
 
 KINDS = {"training": "all training targets", "new": "all new targets",
          "validation": "validation targets", "anywhere": "any free target"}
+BLOCK = 32  # robots that drive side by side; a process drives a block at a time
 MOST_ROWS = 40  # targets that `table` has a line for
 
 
 def rollouts(driver, robots, protocol="start", seed=0, hidden="", images=False,
-             environment=NavVecEnv):
-    """Drives what each robot is to do, a list of Assignments; returns the Traces."""
+             environment=NavVecEnv, workers=1, paths=None):
+    """Drives what each robot is to do, a list of Assignments; returns the Traces.
+
+    The robots drive in blocks, each with random numbers of its own: it makes no difference how many
+    processes share the blocks. With several workers driver and environment have to be picklable.
+    paths: ShortestPaths, which then know those of the Traces.
+    """
+    blocks = [robots[k:k + BLOCK] for k in range(0, len(robots), BLOCK)]
+    jobs = [(driver, block, protocol, [seed, k], hidden, images, environment, paths is not None)
+            for k, block in enumerate(blocks)]
+    own_scene = {robot.scene: robot.scene for robot in robots}  # another process returns copies
+    traces = []
+    for driven, lengths in in_processes(drive_block, jobs, workers):
+        for trace in driven:
+            trace.scene = own_scene[trace.scene]
+        traces += driven
+        if paths is not None:
+            paths.learn(lengths)
+    return traces
+
+
+def drive_block(driver, robots, protocol, seeds, hidden, images, environment, measured):
+    """The Traces of one block of robots, and the lengths of their shortest paths, if they are to be
+    measured. seeds: numbers that are this block's alone."""
     scenes = [robot.scene for robot in robots]
     targets = [robot.target for robot in robots]
     env = make_environment(protocol, scenes, targets, hidden, environment)
-    return drive(driver, env, [robot.quota for robot in robots], seed, images)
+    seed = int(np.random.SeedSequence(seeds).generate_state(1)[0])
+    traces = drive(driver, env, [robot.quota for robot in robots], seed, images)
+    paths = ShortestPaths()
+    if measured:
+        for trace in traces:
+            paths.metres(trace.scene, trace.start, trace.goal)
+    return traces, paths.lengths
 
 
 def film_episode(driver, scene, protocol="start", seed=0, hidden="", environment=NavVecEnv):
@@ -42,26 +74,27 @@ def conditions(protocol, hidden):
 
 
 def evaluate(driver, scenes, episodes=1000, protocol="start", seed=0, actions="sampled", hidden="",
-             environment=NavVecEnv):
+             environment=NavVecEnv, workers=1):
     """Frozen evaluation: no learning, fresh episodes. Returns what `evaluation.json` holds, and the
     episodes' Traces.
 
     driver: a Policy, a Planned or your own. scenes: a list of names, paths or Scenes. episodes: so
     many of each kind, training and new, split evenly over the scenes and their targets; by
     `anywhere`, so many in all. actions: what the result says of the driver's actions. hidden: see
-    `protocols.hiding`. environment: NavVecEnv or a subclass with hooks of its own. Raises
-    ValueError for what is not valid; SceneError where there is no room for validation targets.
+    `protocols.hiding`. environment: NavVecEnv or a subclass with hooks of its own. workers:
+    processes that share the work; the result is the same with any number. Raises ValueError for
+    what is not valid; SceneError where there is no room for validation targets.
     """
     for name, value, valid in (("protocol", protocol, PROTOCOLS), ("hidden", hidden, HIDDEN)):
         if value not in valid:
             known = ", ".join(map(repr, valid))
             raise ValueError(f"{name} is {value!r}, it must be one of {known}")
     scenes = protocol_scenes(protocol, load_scenes(scenes))
+    paths = ShortestPaths()
     traces = rollouts(driver, assign_all(protocol, scenes, episodes), protocol, seed, hidden,
-                      environment=environment)
+                      environment=environment, workers=workers, paths=paths)
     result = {"protocol": protocol, "actions": actions, "hidden": hidden, "training": None,
               "new": None}
-    paths = ShortestPaths()
     if protocol == "anywhere":
         result["anywhere"] = summarise(traces, paths)
         result["targets"] = []

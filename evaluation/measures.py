@@ -29,21 +29,24 @@ class ShortestPaths:
     """
 
     def __init__(self):
-        self._graphs = {}  # a scene, by identity -> its graph, which holds the scene
-        self._lengths = {}
+        self.lengths = {}  # (scene, start, goal) -> metres
+        self._graphs = {}  # scene -> its graph
 
     def metres(self, scene, start, goal):
         """Metres that the robot's disc has to drive at least from start (x, y) until it arrives at
         the goal (x, y); inf where it cannot."""
         start = float(start[0]), float(start[1])
         goal = float(goal[0]), float(goal[1])
-        key = id(scene), start, goal
-        if key not in self._lengths:
-            if id(scene) not in self._graphs:
-                self._graphs[id(scene)] = visibility_graph(scene)
-            _, length = self._graphs[id(scene)].path(start, goal)
-            self._lengths[key] = length
-        return self._lengths[key]
+        key = scene, start, goal
+        if key not in self.lengths:
+            if scene not in self._graphs:
+                self._graphs[scene] = visibility_graph(scene)
+            _, self.lengths[key] = self._graphs[scene].path(start, goal)
+        return self.lengths[key]
+
+    def learn(self, lengths):
+        """Takes over what others have measured, their `lengths`."""
+        self.lengths |= lengths
 
 
 def spl(success, shortest, metres):

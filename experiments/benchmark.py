@@ -11,8 +11,11 @@ Axis letters: R robots, M rows of sequences, T steps.
 
 import json
 import math
+import multiprocessing
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +23,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+import ppo
 import scenes
+from evaluation.after_training import evaluate_frozen
 from experiments.figures import draw_benchmark
 from experiments.peers import PEERS
 from model import Network, make_network
@@ -28,14 +33,21 @@ from navbot_min import HIGHEST_ACTION, LOWEST_ACTION, NavVecEnv
 from render import Camera, H, W
 from sim import World
 from support.command_line import CommandLine, option
-from support.processes import OneProcess
+from support.cores import available_cores
+from support.pictures import draw_curves, read_table
+from support.processes import OneProcess, default_workers, start_workers
 from support.run_folder import write
-from train import Config, Training
+from train import SUCCESS_RATE, Config, Training
 
 ROBOTS = (1, 32, 256, 1024)
 BOXES = (4, 8, 16, 24, 40)
 TIMINGS = 15  # the best of so many counts
 TRAINING_TIMINGS = 5  # of training, each of them ten times as long
+ROUNDS = 11  # of a race
+TORCHRUN_STEPS = 5000  # of a race of torchrun, for each update of the others
+ROOT = Path(__file__).parent.parent
+COMMANDS = {"the demo": ["navbot_min.py"], "training": ["train.py"],
+            "evaluation": ["-m", "evaluation"], "drawing a room": ["-m", "scenes"]}
 
 
 @dataclass
@@ -43,6 +55,7 @@ class Options:
     """What to measure."""
     cores: int = option(0, "measure on so many cores alone; 0 for one core, then for all", 0)
     seconds: float = option(0.2, "length of a timing", 0.001)
+    updates: int = option(3, "of a timing of workers", 1)
     peers: bool = option(False, "measure the peers too, where they are installed")
     out: str = option("benchmark.json", "file for the figures; the plot goes beside it, as .png")
     json: bool = option(False, "print the figures alone, as JSON, on standard output")
@@ -153,27 +166,82 @@ def network_fps(seconds, M=16, T=50, R=32):
             "act": rate(counted(R, act), seconds)}
 
 
-def train_sps(scene, seconds):
-    """Training steps a second, all told, and the share of the steps that is learnt from.
+def make_updates(training, count):
+    """Trains for so many updates. Returns the steps that it took and those that were learnt from.
 
-    It is the training of train.py, mirrored room included; without new targets every step is
-    learnt from, as with the peers.
+    It is the training of train.py, mirrored room included.
     """
-    training = Training(Config(), [scene], OneProcess())
+    before = training.record.steps
+    learnt = 0
+    for _ in range(count):
+        for info in training.collect():
+            training.record.add(info)
+        learnt += sum(len(episode) for episode in training.buffer)
+        training.learn()
+    return training.record.steps - before, learnt
+
+
+def make_training(workers, scene):
+    """A Training of the real thing, shared among so many workers."""
+    config = Config(workers=workers)
+    if workers == 1:
+        return Training(config, [scene], OneProcess())
+    return Training(config, [scene], start_workers(workers, train_along, config, [scene]))
+
+
+def train_along(config, scenes, workers):
+    """What the other workers do until the first one ends them."""
+    training = Training(config, scenes, workers)
+    while True:
+        make_updates(training, 1)
+
+
+def train_sps(scene, workers, seconds):
+    """Training steps a second, all told, and the share of the steps that is learnt from. Without
+    new targets that is every step, as with the peers."""
+    training = make_training(workers, scene)
+    steps = 0
     learnt = 0
 
     def one_update():
-        nonlocal learnt
-        before = training.record.steps
-        while not training.buffer_is_full:
-            for info in training.collect():
-                training.record.add(info)
-        learnt += sum(len(episode) for episode in training.buffer)
-        training.learn()
-        return training.record.steps - before
+        nonlocal steps, learnt
+        new_steps, new_learnt = make_updates(training, 1)
+        steps += new_steps
+        learnt += new_learnt
+        return new_steps
 
     sps = rate(one_update, 10 * seconds, TRAINING_TIMINGS)
-    return sps, learnt / training.record.steps
+    training.processes.close()
+    return sps, learnt / steps
+
+
+def race(scene, workers, updates, busy=False):
+    """One worker and so many, a few updates of each in turn: the median training steps a second
+    of both, and the median ratio. busy: whether another process keeps a core busy meanwhile."""
+    one = make_training(1, scene)
+    many = make_training(workers, scene)
+    hog = multiprocessing.Process(target=keep_busy, daemon=True)
+    if busy:
+        hog.start()
+    sps = []
+    for turn in range(ROUNDS + 1):
+        pair = []
+        for training in (one, many):
+            start = time.perf_counter()
+            steps, _ = make_updates(training, updates)
+            pair.append(steps / (time.perf_counter() - start))
+        if turn > 0:  # the first is to warm up
+            sps.append(pair)
+    many.processes.close()
+    if busy:
+        hog.kill()
+    return medians(sps, workers)
+
+
+def keep_busy():
+    """What a process does that leaves no core to others."""
+    while True:
+        pass
 
 
 def flops(net):
@@ -191,10 +259,10 @@ def flops(net):
     for module in net.modules():
         if isinstance(module, (torch.nn.Conv2d, torch.nn.Linear, torch.nn.LSTM)):
             module.register_forward_hook(count)
-    one = {"image": torch.zeros(1, 1, H, W, 3, dtype=torch.uint8),
-           "target": torch.zeros(1, 1, 2), "velocity": torch.zeros(1, 1, 2),
-           "last_reward": torch.zeros(1, 1, 1)}
-    net(one, net.initial_state(1))
+    two = {"image": torch.zeros(1, 2, H, W, 3, dtype=torch.uint8),
+           "target": torch.zeros(1, 2, 2), "velocity": torch.zeros(1, 2, 2),
+           "last_reward": torch.zeros(1, 2, 1)}  # one step alone would go round the LSTM's hook
+    net(two, net.initial_state(1))
     forward = sum(operations)
     first_layer = operations[0]  # whose input, the image, needs no gradient
     return forward, 3 * forward - first_layer
@@ -213,23 +281,22 @@ def convolution_rate(seconds):
 # -------------------------------------------------------------------------------------- the figures
 
 
-def available_cores():
-    """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count()))
+def use(cores, threads):
+    """From now on, this process runs on these cores, and torch with so many threads."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores)
+    torch.set_num_threads(threads)
 
 
 def measure(cores, seconds):
     """All figures of this project on those cores."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, cores)
-    torch.set_num_threads(len(cores))
+    use(cores, threads=len(cores))
     scene = scenes.load("env1")
     rooms = {boxes: make_room(boxes) for boxes in BOXES}
     roof = convolution_rate(seconds)
-    sps, share = train_sps(scene, seconds)
-    training_targets_sps, _ = train_sps(replace(scene, new_targets=()), seconds)
+    workers = default_workers(Config())  # of these cores
+    sps, share = train_sps(scene, workers, seconds)
+    training_targets_sps, _ = train_sps(replace(scene, new_targets=()), workers, seconds)
     forward, both = flops(Network())
     return {"cores": len(cores),
             "camera_fps": {str(R): camera_fps(scene, R, seconds) for R in ROBOTS},
@@ -242,6 +309,146 @@ def measure(cores, seconds):
             "flops_per_frame": {"forward": forward, "both": both}, "roof_flops": roof,
             "roof_fps": {"forward": roof / forward, "both": roof / both, "act": roof / forward},
             "roof_sps": roof / (forward + share * Config.epochs * both)}
+
+
+def measure_workers(cores, updates):
+    """Training by one worker and by one for each core: on an idle machine, while another process
+    keeps a core busy, and by torchrun."""
+    scene = scenes.load("env1")
+    use(cores, threads=1)
+    workers = default_workers(Config())
+    if workers == 1:
+        return {}
+    return {"idle": race(scene, workers, updates),
+            "busy": race(scene, workers, updates, busy=True),
+            "torchrun": race_of_torchrun(workers, TORCHRUN_STEPS * updates)}
+
+
+def race_of_torchrun(processes, steps):
+    """A training by one process, and one by so many that torchrun starts, in turn: as `race`."""
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    sps = []
+    for _ in range(3):
+        pair = []
+        for start in ([], torchrun):
+            with tempfile.TemporaryDirectory() as folder:
+                command = [sys.executable, *start, "train.py", "--steps", str(steps),
+                           "--fixed-budget", "--evaluation-episodes", "1", "--out", f"{folder}/run"]
+                if not start:
+                    command += ["--workers", "1"]
+                subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+                last = read_table(Path(folder) / "run" / "updates.csv")[-1]
+                pair.append(float(last["steps_per_second"]))
+        sps.append(pair)
+    return medians(sps, processes)
+
+
+def medians(sps, workers):
+    """What a race says: of [(one, many), ...] the medians, and that of the ratios."""
+    alone, shared = np.median(sps, axis=0).tolist()
+    return {"1": alone, str(workers): shared, "ratio": float(np.median([b / a for a, b in sps]))}
+
+
+# ------------------------------------------------------------------------------------- the programs
+
+
+def start_up_seconds():
+    """How long each command takes until it says how it is used: its imports."""
+    seconds = {}
+    for name, command in COMMANDS.items():
+        timings = []
+        for _ in range(3):
+            start = time.perf_counter()
+            subprocess.run([sys.executable, *command, "--help"], cwd=ROOT, check=True,
+                           stdout=subprocess.DEVNULL)
+            timings.append(time.perf_counter() - start)
+        seconds[name] = round(min(timings), 2)
+    return seconds
+
+
+def where_time_goes(scene, workers):
+    """Seconds that the parts of a training in env1 take, seed 0, until the paper's rule stops it,
+    as the first of its processes sees them."""
+    seconds = dict.fromkeys(("act", "environment", "gradient", "optimiser"), 0.0)
+
+    def clock(owner, name, part):
+        call = getattr(owner, name)
+
+        def timed(*arguments):
+            start = time.perf_counter()
+            result = call(*arguments)
+            seconds[part] += time.perf_counter() - start
+            return result
+        setattr(owner, name, timed)
+        return call
+
+    start = time.perf_counter()
+    training = make_training(workers, scene)
+    seconds["making"] = time.perf_counter() - start
+    clock(training.model, "act", "act")
+    clock(training.env, "step", "environment")
+    clock(training.optimizer, "step", "optimiser")
+    untimed = clock(ppo, "gradient", "gradient")
+    collecting = 0.0
+    start = time.perf_counter()
+    while not training.is_over():
+        began = time.perf_counter()
+        for info in training.collect():
+            training.record.add(info)
+        collecting += time.perf_counter() - began
+        training.learn()
+    total = time.perf_counter() - start
+    ppo.gradient = untimed
+    training.processes.close()
+    seconds["other collecting"] = collecting - seconds["act"] - seconds["environment"]
+    seconds["other learning"] = total - collecting - seconds["gradient"] - seconds["optimiser"]
+    start = time.perf_counter()
+    evaluate_frozen(training.model, [scene], Config.evaluation_episodes, 0, workers)
+    seconds["evaluation"] = time.perf_counter() - start
+    start = time.perf_counter()
+    draw_curves(training.record.episodes, scene.name, SUCCESS_RATE)
+    seconds["curves"] = time.perf_counter() - start
+    return {part: round(value, 2) for part, value in seconds.items()}
+
+
+def peak_memory(command):
+    """The most memory [MB] that a command and the processes that it starts hold at once; pages that
+    they share count once. None where the system does not tell."""
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL)
+    peak = 0
+    while process.poll() is None:
+        peak = max(peak, sum(map(proportional_kilobytes, family(process.pid))))
+        time.sleep(0.2)
+    return round(peak / 1000) or None
+
+
+def family(pid):
+    """That process and all that it has started."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        children = []
+    return [pid, *(member for child in children for member in family(child))]
+
+
+def proportional_kilobytes(pid):
+    """A process's memory [kB], of a page that several share its part."""
+    try:
+        text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    except OSError:  # it has ended, or the system has no such file
+        return 0
+    return next(int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:"))
+
+
+def measure_programs(cores):
+    """What a user waits for: imports, a whole training and its parts, and its memory."""
+    use(cores, threads=1)
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "train.py", "--env", "env1", "--out", f"{folder}/run"]
+        memory = peak_memory(command)
+    return {"start_up_seconds": start_up_seconds(), "memory_mb": memory,
+            "seconds": where_time_goes(scenes.load("env1"), default_workers(Config()))}
 
 
 def measure_peers(figures, seconds):
@@ -280,6 +487,17 @@ def report(figures):
     lines.append(f"  {'training, all told':33} {sps:,.0f} steps/s, "
                  f"{sps / figures['roof_sps']:.0%} of the roof; where every step is learnt from "
                  f"{figures['train_sps_training_targets']:,.0f}")
+    for when, pair in figures.get("workers", {}).items():
+        counts = "  ".join(f"{count}: {sps:,.0f}" for count, sps in pair.items() if count != "ratio")
+        lines.append(f"  {f'training by workers, {when}':33} {counts} steps/s, ratio "
+                     f"{pair['ratio']:.2f}")
+    if "programs" in figures:
+        programs = figures["programs"]
+        for key, what in (("start_up_seconds", "imports of each command"),
+                          ("seconds", "parts of a training in env1")):
+            values = "  ".join(f"{name}: {value:.1f}" for name, value in programs[key].items())
+            lines.append(f"  {what:33} {values} (seconds)")
+        lines.append(f"  {'its peak of memory':33} {programs['memory_mb']} MB")
     for name, peer in figures.get("peers", {}).items():
         lines.append(f"  beside {name:26} {peer['sps']:,.0f} steps/s, "
                      f"ours {peer['ratio']:.1f} times as many")
@@ -300,6 +518,8 @@ def main(argv=None):
     messages = sys.stderr if options.json else sys.stdout
     figures = measure(cores[:options.cores or 1], options.seconds)
     figures["peers"] = measure_peers(figures, options.seconds) if options.peers else {}
+    figures["workers"] = measure_workers(cores, options.updates)
+    figures["programs"] = measure_programs(cores)
     print(report(figures), file=messages)
     if options.cores == 0:
         figures["all_cores"] = measure(cores, options.seconds)

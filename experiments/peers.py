@@ -32,7 +32,7 @@ class Settings:
     minibatches: int  # of an epoch
 
 
-# So many steps of our robots are about as many as 32 episodes have.
+# So many steps of our robots are about as many as an update's episodes have.
 OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches)
 RECURRENT_PPO = Settings(8, 128, 10, 8)  # its defaults: minibatches of 128 steps
 CLEANRL = Settings(8, 128, 4, 4)  # of CleanRL's PPO with an LSTM

@@ -293,8 +293,9 @@ class VariedTraining(Training):
 
 def config_of(variant, seed, steps):
     """The Config of a run: one start pose, one room, all the steps."""
+    # Otherwise the settings that our learner had when results/released_learner.csv was made.
     config = Config(seed=seed, steps=steps, fixed_budget=True, workers=1, random_starts=0.0,
-                    mirrored=0.0)
+                    mirrored=0.0, robots=32, episodes_per_update=32, learning_rate=6e-4)
     if variant.one_robot:
         config.robots = 1
         config.episodes_per_update = 10

@@ -281,6 +281,32 @@ def benchmark(figures):
         ["peer, 1 core", "its steps a second", "this project's, times as many"], peers)
 
 
+def workers(figures):
+    """Training by one worker and by several. figures: benchmark.json."""
+    races = figures["workers"]
+    header = ["training steps a second", *(f"{count} worker" + "s" * (count != "1")
+                                           for count in races["idle"] if count != "ratio"), "ratio"]
+    names = {"idle": "idle machine", "busy": "another process keeps one core busy",
+             "torchrun": "processes of torchrun, idle machine"}
+    table = []
+    for when, race in races.items():
+        rates = [f"{sps:,.0f}" for count, sps in race.items() if count != "ratio"]
+        table.append([names[when], *rates, f"{race['ratio']:.2f}"])
+    return markdown(header, table)
+
+
+def programs(figures):
+    """What a user waits for, and the memory that it takes. figures: benchmark.json."""
+    measured = figures["programs"]
+    table = [[f"training in env1 to the stop, seed 0: {part}", f"{seconds:.1f} s"]
+             for part, seconds in measured["seconds"].items()]
+    table += [[f"start-up of {name}", f"{seconds:.1f} s"]
+              for name, seconds in measured["start_up_seconds"].items()]
+    table.append(["peak of memory of `python train.py --env env1`, all processes",
+                  f"{measured['memory_mb']} MB"])
+    return markdown(["what", "measured"], table)
+
+
 def shares(fractions):
     """Shares of the roof, one for each number of cores."""
     return " / ".join(f"{100 * fraction:.0f} %" for fraction in fractions)
@@ -347,6 +373,8 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "ablations": (ablations, ["seeds.csv", "ablations.csv", "other-machine.csv"]),
     "planners": (planner_comparison, ["planners.csv", "seeds.csv"]),
     "benchmark": (benchmark, ["benchmark.json"]),
+    "workers": (workers, ["benchmark.json"]),
+    "programs": (programs, ["benchmark.json"]),
     "stops": (stops, [f"env1-seed{seed}.json" for seed in range(5)]),
     "peaks": (peaks, ["curves.csv"]),
     "released-learner": (released_learner, ["released_learner.csv"]),

@@ -382,24 +382,47 @@ def test_the_timed_training_is_the_real_one_with_half_of_the_robots_in_the_mirro
             made.append(self)
 
         def learn(self):
-            assert self.buffer_is_full
+            assert len(self.buffer) >= self.config.episodes_per_update
             learnt.extend(len(episode) for episode in self.buffer)
             return super().learn()
 
     monkeypatch.setattr(benchmark, "rate", count_once)
     monkeypatch.setattr(benchmark, "Training", Training)
     scene = benchmark.scenes.load("env1")
-    steps, share = benchmark.train_sps(scene, seconds=1)
+    steps, share = benchmark.train_sps(scene, 1, seconds=1)
     training, = made
     rooms = [training.env.scenes[k] for k in training.env.scene_of]
-    assert len(rooms) == 32 and rooms.count(scene) == 16
+    R = training.config.robots
+    assert len(rooms) == R and rooms.count(scene) == R // 2
     assert steps == training.record.steps > 0 and share == sum(learnt) / steps
+
+
+def test_a_race_is_of_the_same_training_by_one_worker_and_by_several(monkeypatch):
+    steps = []
+
+    def count(training, updates):
+        steps.append((training.processes.count, updates))
+        return 10, 5
+    monkeypatch.setattr(benchmark, "ROUNDS", 2)
+    monkeypatch.setattr(benchmark, "make_updates", count)
+    race = benchmark.race(benchmark.scenes.load("env1"), 2, 7)
+    assert steps == [(1, 7), (2, 7)] * 3
+    assert race["1"] > 0 and race["2"] > 0 and race["ratio"] > 0
+
+
+def test_memory_is_that_of_a_command_and_its_children():
+    hold = "x = bytearray(60_000_000); import time; time.sleep(1)"
+    child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', '{hold}'])"
+    assert 60 < benchmark.peak_memory([sys.executable, "-c", child]) < 120
 
 
 def test_the_benchmark_writes_its_figures_and_their_plot(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(benchmark, "rate", count_once)
     monkeypatch.setattr(benchmark.os, "sched_setaffinity", lambda *_: None, raising=False)
     monkeypatch.setattr(benchmark.torch, "set_num_threads", lambda _: None)
+    monkeypatch.setattr(benchmark, "measure_workers", lambda *_: {})
+    monkeypatch.setattr(benchmark, "measure_programs", lambda *_: {
+        "start_up_seconds": {}, "seconds": {}, "memory_mb": 1})
     out = tmp_path / "figures.json"
     benchmark.main(["--cores", "1", "--json", "--out", str(out)])
     figures = json.loads(capsys.readouterr().out)

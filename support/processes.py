@@ -18,16 +18,17 @@ import multiprocessing
 import os
 import pickle
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import distributed
 
+from support.cores import available_cores, context, one_thread
+
 MOST_WORKERS = 4  # unless more are asked for: with fewer than 8 robots each, overhead takes over
 STEPS_ALONE = 4  # from one count of the episodes to the next
-SLOT = 2 ** 23  # bytes that a process can show the others at once
+SLOT = 2 ** 22  # bytes that a process can show the others at once, enough for a gradient
 PATIENCE = 1.0  # [s] of waiting for the others, after which it looks whether they are alive
 
 
@@ -126,9 +127,13 @@ class Worker(_OneOfMany):
 
     def sum(self, tensor):
         """The sum of that tensor over all processes."""
-        array = tensor.numpy()
-        shown = self._show(array.reshape(-1)).view(array.dtype)  # (processes, values)
-        return torch.from_numpy(shown.sum(0)).view_as(tensor)
+        mine = tensor.numpy().reshape(-1)
+        total = np.empty_like(mine)
+        most = SLOT // mine.itemsize
+        for start in range(0, len(mine), most):
+            shown = self._show(mine[start:start + most]).view(mine.dtype)  # (processes, values)
+            shown.sum(0, out=total[start:start + most])
+        return torch.from_numpy(total).view_as(tensor)
 
     def _show(self, array, size=None):
         """Shows the others an array (n,), and returns what all show, (processes, bytes). They
@@ -168,7 +173,7 @@ class Worker(_OneOfMany):
 def _start_worker(work, arguments, rank, count, board):
     """What a process does that was started to work along."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the first process decides
-    torch.set_num_threads(1)
+    one_thread()
     try:
         work(*arguments, Worker(rank, count, board))
     except Gone:
@@ -178,12 +183,11 @@ def _start_worker(work, arguments, rank, count, board):
 def start_workers(count, work, *arguments):
     """Starts processes that call work(*arguments, processes), count - 1 of them. Returns the
     `processes` of this one, the first."""
-    # A forked process has all modules already, without a second of importing and a copy of them.
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
-    board = Board(context, count)
+    start = context()
+    board = Board(start, count)
     first = Worker(0, count, board)
     for rank in range(1, count):
-        process = context.Process(target=_start_worker, daemon=True,
+        process = start.Process(target=_start_worker, daemon=True,
                                   args=(work, arguments, rank, count, board))
         process.start()
         first.started.append(process)
@@ -211,19 +215,10 @@ class Torchrun(_OneOfMany):
         return tensor
 
 
-def available_cores():
-    """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count()))
-
-
 def join_processes(config, work, scenes):
     """This process among those that share a training: those that torchrun started, or the first of
     `config.workers`, which it starts. The others call work(config, scenes, processes)."""
-    # One thread each: torch's own threads spin while they wait for each other, and on a core that
-    # something else keeps busy they wait long.
-    torch.set_num_threads(1)
+    one_thread()
     if config.device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
     if torchrun_count() > 1:

@@ -150,32 +150,33 @@ def test_torchrun_and_workers_share_a_training_and_write_the_same_bytes_again(tm
     assert json.loads((tmp_path / "torchrun-2/config.json").read_text())["workers"] == 2
 
 
-def in_workers(count, work, *arguments):
-    """What work(*arguments, processes) returns in each of so many workers."""
-    def report(*arguments_and_workers):
-        workers = arguments_and_workers[-1]
-        workers.gather(work(*arguments_and_workers))
+def report(work, workers):
+    """What a worker does that was started: work, and tell the first one what came of it."""
+    workers.gather(work(workers))
 
+
+def in_workers(count, work):
+    """What work(processes) returns in each of so many workers."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # as in training: sums of several threads differ in the last bits
-    workers = start_workers(count, report, *arguments)
-    results = workers.gather(work(*arguments, workers))
+    workers = start_workers(count, report, work)
+    results = workers.gather(work(workers))
     workers.close()
     torch.set_num_threads(threads)
     return results
 
 
 def exchange(workers):
-    numbers = torch.arange(5.0) + 10 ** workers.rank
-    mine = bytes([workers.rank]) * (50 * workers.rank)
-    return [(workers.gather(mine), workers.sum(numbers).tolist(), workers.count_all(workers.rank))
-            for _ in range(3)]
+    numbers = torch.arange(processes.SLOT / 3) + 10 ** workers.rank  # more than a slot has room for
+    mine = bytes([workers.rank]) * (processes.SLOT * workers.rank)
+    return [(workers.gather(mine), workers.sum(numbers)[[0, -1]].tolist(),
+             workers.count_all(workers.rank)) for _ in range(3)]
 
 
-def test_workers_give_each_other_what_they_have_whatever_its_size(monkeypatch):
-    monkeypatch.setattr(processes, "SLOT", 64)  # 100 bytes take two turns
-    everyone = [b"", b"\1" * 50, b"\2" * 100]
-    expected = [(everyone, [111.0 + 3 * k for k in range(5)], 3)] * 3
+def test_workers_give_each_other_what_they_have_whatever_its_size():
+    everyone = [b"", b"\1" * processes.SLOT, b"\2" * 2 * processes.SLOT]  # and some bytes around
+    last = float(processes.SLOT // 3)
+    expected = [(everyone, [111.0, 111.0 + 3 * last], 3)] * 3
     assert in_workers(3, exchange) == [expected] * 3
 
 
@@ -189,11 +190,10 @@ def weights_after_an_update(workers):
 
 def test_workers_learn_together_what_one_learns_alone():
     alone = weights_after_an_update(processes.OneProcess())
-    for count in (2, 3):
-        first, *others = in_workers(count, weights_after_an_update)
-        assert all((first == other).all() for other in others)  # to the last bit
-        before = np.concatenate([p.detach().numpy().ravel() for p in make_network(0).parameters()])
-        assert np.abs(first - alone).max() < 0.01 * np.abs(alone - before).max()
+    first, *others = in_workers(3, weights_after_an_update)
+    assert all((first == other).all() for other in others)  # to the last bit
+    before = np.concatenate([p.detach().numpy().ravel() for p in make_network(0).parameters()])
+    assert np.abs(first - alone).max() < 0.01 * np.abs(alone - before).max()
 
 
 def test_a_minibatch_is_cut_into_parts_of_nearly_the_same_size():

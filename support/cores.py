@@ -1,0 +1,54 @@
+"""The cores of this machine, and jobs that are shared among them."""
+
+import multiprocessing
+import os
+import signal
+import sys
+from concurrent.futures import ProcessPoolExecutor
+
+
+def available_cores():
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count()))
+
+
+def one_thread():
+    """To be called by a program before it computes anything: torch keeps to one thread.
+
+    Its own threads spin while they wait for each other, and where something else keeps a core busy
+    they wait long. A program that never had several threads can also be forked safely, which spares
+    the processes that it starts a second of importing and a copy of all modules.
+    """
+    import torch  # here, for planners do without it
+    global _can_fork
+    _can_fork = sys.platform == "linux"
+    # Kernels that oneDNN keeps for another input of the same shape; hardly any comes, and its own
+    # limit of 1,024 takes 300 MB.
+    os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "64")
+    torch.set_num_threads(1)
+
+
+_can_fork = False
+
+
+def context():
+    """How this program starts processes."""
+    return multiprocessing.get_context("fork" if _can_fork else "spawn")
+
+
+def in_processes(function, jobs, workers):
+    """What function(*job) returns for each of the jobs, in their order, from so many processes."""
+    if workers == 1 or len(jobs) == 1:
+        yield from (function(*job) for job in jobs)
+        return
+    with ProcessPoolExecutor(workers, context(), _start_job_worker) as pool:
+        yield from pool.map(function, *zip(*jobs))
+
+
+def _start_job_worker():
+    """What a process of `in_processes` does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    one_thread()
+    sys.stderr = open(os.devnull, "w")  # the progress bars of several would overwrite each other
