@@ -14,7 +14,7 @@ from support.traces import drive
 
 KINDS = {"training": "all training targets", "new": "all new targets",
          "validation": "validation targets", "anywhere": "any free target"}
-BLOCK = 32  # robots that drive side by side; a process drives a block at a time
+BLOCK = 64  # robots that drive side by side; a process drives a block at a time
 MOST_ROWS = 40  # targets that `table` has a line for
 
 

@@ -21,7 +21,7 @@ from render import CUBE_SIZE
 from sim import ROBOT_RADIUS, Scene, SceneError
 
 # At most. More robots wait longer for the last: each drives its episodes one after another.
-EPISODES_PER_ROBOT = 32
+EPISODES_PER_ROBOT = 16
 HIDDEN = ("", "place", "cube", "both")  # what a policy may not be shown of its target
 START_DEVIATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] of `perturbed`
 PATCH = 0.25  # [m] from one validation target to the next, and the size of a patch of floor.png

@@ -399,6 +399,7 @@ def where_time_goes(scene, workers):
         training.learn()
     total = time.perf_counter() - start
     ppo.gradient = untimed
+    del training.model.act  # what is evaluated has to be picklable: the class's own again
     training.processes.close()
     seconds["other collecting"] = collecting - seconds["act"] - seconds["environment"]
     seconds["other learning"] = total - collecting - seconds["gradient"] - seconds["optimiser"]

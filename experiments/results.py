@@ -8,7 +8,6 @@ interrupted, it goes on with the next run.
 
 import csv
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -100,10 +99,10 @@ class Run:
             shutil.rmtree(self.folder, ignore_errors=True)
             options = (WAYS | ABLATIONS)[self.way]
             call("train.py", "--env", self.env, "--seed", self.seed, "--fixed-budget",
-                 "--steps", BUDGET[self.env], *options, "--out", self.folder)
+                 "--steps", BUDGET[self.env], "--workers", 1, *options, "--out", self.folder)
         for file, options in self.examinations.items():
             if not (self.folder / file).exists():
-                call("-m", "evaluation", self.folder, *options)
+                call("-m", "evaluation", self.folder, "--workers", 1, *options)
         print(f"{self.folder.name} is done", flush=True)
 
     def read(self, file):
@@ -117,13 +116,12 @@ class Run:
 
 
 def call(*arguments):
-    """Runs python on one core, in a session of its own, so that Ctrl-C does not cut it short.
+    """Runs python in a session of its own, so that Ctrl-C does not cut it short.
 
     Raises CalledProcessError.
     """
     subprocess.run([sys.executable, *map(str, arguments)], cwd=ROOT, check=True,
-                   env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True,
-                   start_new_session=True)
+                   capture_output=True, start_new_session=True)
 
 
 def rounded(result, keys, prefix=""):
@@ -212,7 +210,8 @@ def write_tables(runs, ablations):
                             ("curves.csv", curve_rows)):
         write_table(name, [row for run in runs for row in make_rows(run)])
     if ablations:
-        write_table("ablations.csv", [seed_row(run) for run in ablations])
+        whole = [run for run in runs if run.way == "varied" and run.seed in ABLATION_SEEDS]
+        write_table("ablations.csv", [seed_row(run) for run in whole + ablations])
     for env in BUDGET:
         shutil.copy(Run(env, "varied", 0).folder / "model.pt", ROOT / "pretrained" / f"{env}.pt")
 

@@ -18,6 +18,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +91,7 @@ class _OneOfMany:
 
 
 class Gone(Exception):
-    """Another of the processes has ended."""
+    """The first process has ended, or needs the others no more."""
 
 
 class Board:
@@ -155,11 +156,13 @@ class Worker(_OneOfMany):
                 self._check_others()
 
     def _check_others(self):
+        """Ends this process, too, where another one has ended. The first says so."""
         parent = multiprocessing.parent_process()
-        alive = [process.is_alive() for process in self.started]
-        if parent is not None:
-            alive.append(parent.is_alive())
-        if self._board.closed.value or not all(alive):
+        if parent is None and not all(process.is_alive() for process in self.started):
+            self.close()
+            sys.exit("error: a worker of this training has ended, killed or out of memory; "
+                     "--workers 1 needs the least memory")
+        if parent is not None and (self._board.closed.value or not parent.is_alive()):
             raise Gone
 
     def close(self):

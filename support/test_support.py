@@ -2,9 +2,12 @@
 
 import csv
 import json
+import os
 import pickle
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +197,32 @@ def test_workers_learn_together_what_one_learns_alone():
     assert all((first == other).all() for other in others)  # to the last bit
     before = np.concatenate([p.detach().numpy().ravel() for p in make_network(0).parameters()])
     assert np.abs(first - alone).max() < 0.01 * np.abs(alone - before).max()
+
+
+def wait_for_children(pid):
+    """The processes that a process has started, as soon as there is one and it has worked."""
+    while True:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        if children:
+            time.sleep(3)
+            return [int(child) for child in children]
+        time.sleep(0.1)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
+@pytest.mark.parametrize("killed", ["a worker", "the first"])
+def test_where_one_process_is_killed_no_other_waits_for_it(killed, tmp_path):
+    training = subprocess.Popen(
+        [sys.executable, str(ROOT / "train.py"), "--workers", "2", "--out", "run"], cwd=tmp_path,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    worker, = wait_for_children(training.pid)
+    os.kill(worker if killed == "a worker" else training.pid, signal.SIGKILL)
+    _, errors = training.communicate(timeout=30)
+    if killed == "a worker":
+        assert training.returncode == 1
+        assert errors.splitlines()[-1].startswith("error: a worker of this training has ended")
+    while Path(f"/proc/{worker}").exists() and "Z" not in Path(f"/proc/{worker}/stat").read_text():
+        time.sleep(0.1)  # the test's time limit: it must end by itself
 
 
 def test_a_minibatch_is_cut_into_parts_of_nearly_the_same_size():
