@@ -51,7 +51,7 @@ class Collector:
         self._observations, _ = env.reset(seed=env_seed)
         self._memory = model.initial_state(env.num_envs)
         self._length = np.zeros(env.num_envs, dtype=int)  # steps of the episodes under way
-        self._steps = {}  # name -> (R, longest episode, ...), the steps of the episodes under way
+        self._history = []  # the last steps of all robots, name -> (R, ...) each
 
     def step(self):
         """One step of all robots. Returns the episodes that it ended, [(Episode, info), ...], where
@@ -61,7 +61,8 @@ class Collector:
         _, actions, log_probs, values, self._memory = action
         self._observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
         scaled = (rewards * self.reward_scale).astype(np.float32)
-        self._store(actions=actions, log_probs=log_probs, values=values, rewards=scaled, **seen)
+        self._history.append(seen | {"actions": actions.numpy(), "log_probs": log_probs.numpy(),
+                                     "values": values.numpy(), "rewards": scaled})
         self._length += 1
         last_values = self._last_values(truncated, infos)
         ended = []
@@ -69,23 +70,13 @@ class Collector:
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
             ended.append((self._take_episode(r, last_values[r]), info))
             self._memory[r] = 0  # memory is cleared at terminated and truncated alike
+        self._history = self._history[len(self._history) - self._length.max():]
         return ended
-
-    def _store(self, **step):
-        """Keeps a step of all robots, name -> (R, ...)."""
-        for name, value in step.items():
-            value = np.asarray(value)
-            if name not in self._steps:
-                self._steps[name] = self._room_for(value)
-            self._steps[name][np.arange(len(value)), self._length] = value
-
-    def _room_for(self, value):
-        """Zeros (R, longest episode, ...) for steps like that one (R, ...)."""
-        return np.zeros((len(value), self.env.max_episode_steps, *value.shape[1:]), value.dtype)
 
     def _take_episode(self, r, last_value):
         """The whole episode that robot r has ended."""
-        steps = {name: value[r, :self._length[r]].copy() for name, value in self._steps.items()}
+        history = self._history[-self._length[r]:]
+        steps = {name: np.stack([step[name][r] for step in history]) for name in history[0]}
         observations = {name: steps.pop(name) for name in self._observations}
         self._length[r] = 0
         return Episode(observations, **steps, last_value=float(last_value))
@@ -104,11 +95,11 @@ class Collector:
 
     def state(self):
         """All that changes while robots drive, the environment's state included."""
-        longest = max(self._length.max(), 1)
         return {"env": self.env.state(), "generator": self.generator.get_state(),
                 "observations": {key: value.copy() for key, value in self._observations.items()},
                 "memory": self._memory.clone(), "length": self._length.copy(),
-                "steps": {name: value[:, :longest].copy() for name, value in self._steps.items()}}
+                "history": [{name: value.copy() for name, value in step.items()}
+                            for step in self._history]}
 
     def load_state(self, state):
         """Goes on from a state of a collector that was made in the same way."""
@@ -117,10 +108,7 @@ class Collector:
         self._observations = dict(state["observations"])
         self._memory = state["memory"].clone()
         self._length = state["length"].copy()
-        self._steps = {}
-        for name, value in state["steps"].items():
-            self._steps[name] = self._room_for(value[:, 0])
-            self._steps[name][:, :value.shape[1]] = value
+        self._history = list(state["history"])
 
 
 def advantages(rewards, values, last_value, gamma, lam):

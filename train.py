@@ -126,8 +126,8 @@ class Training:
         self.buffer = []  # episodes to training targets since the last update
 
     def rooms(self, scenes):
-        """A room for each robot: the last robots drive in mirrored rooms, which have no new targets,
-        so there they only train. Robot r's room is a picture of `scenes[r % len(scenes)]` always."""
+        """A room for each robot. The last robots drive in mirrored rooms, without new targets:
+        there they only train. Robot r's is a picture of `scenes[r % len(scenes)]` always."""
         R = self.config.robots
         mirrors = [scene.mirrored() for scene in scenes]
         in_mirror = int(R * self.config.mirrored)

@@ -20,7 +20,8 @@ class Policy:
 
     def __init__(self, model, actions, seed):
         """model: a `model.Network`, or what has its `act` and `initial_state`. seed: of the sampled
-        actions, with the seed of the environment that it drives in. Raises ValueError for other actions."""
+        actions, with the seed of the environment that it drives in. Raises ValueError for other
+        actions."""
         import torch  # here, for planners and measures do without it
         if actions not in ACTIONS:
             raise ValueError(f"actions is {actions!r}, it must be one of {', '.join(ACTIONS)}")

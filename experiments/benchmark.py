@@ -33,7 +33,7 @@ from navbot_min import HIGHEST_ACTION, LOWEST_ACTION, NavVecEnv
 from render import Camera, H, W
 from sim import World
 from support.command_line import CommandLine, option
-from support.cores import available_cores
+from support.cores import available_cores, one_thread
 from support.pictures import draw_curves, read_table
 from support.processes import OneProcess, default_workers, start_workers
 from support.run_folder import write
@@ -290,13 +290,14 @@ def use(cores, threads):
 
 def measure(cores, seconds):
     """All figures of this project on those cores."""
-    use(cores, threads=len(cores))
+    use(cores, threads=1)
     scene = scenes.load("env1")
     rooms = {boxes: make_room(boxes) for boxes in BOXES}
-    roof = convolution_rate(seconds)
     workers = default_workers(Config())  # of these cores
     sps, share = train_sps(scene, workers, seconds)
     training_targets_sps, _ = train_sps(replace(scene, new_targets=()), workers, seconds)
+    use(cores, threads=len(cores))
+    roof = convolution_rate(seconds)
     forward, both = flops(Network())
     return {"cores": len(cores),
             "camera_fps": {str(R): camera_fps(scene, R, seconds) for R in ROBOTS},
@@ -489,7 +490,7 @@ def report(figures):
                  f"{sps / figures['roof_sps']:.0%} of the roof; where every step is learnt from "
                  f"{figures['train_sps_training_targets']:,.0f}")
     for when, pair in figures.get("workers", {}).items():
-        counts = "  ".join(f"{count}: {sps:,.0f}" for count, sps in pair.items() if count != "ratio")
+        counts = "  ".join(f"{count}: {pair[count]:,.0f}" for count in pair if count != "ratio")
         lines.append(f"  {f'training by workers, {when}':33} {counts} steps/s, ratio "
                      f"{pair['ratio']:.2f}")
     if "programs" in figures:
@@ -517,10 +518,12 @@ def main(argv=None):
     if not path.parent.is_dir():
         parser.error(f"--out is '{path}', it must be a file in a folder that exists")
     messages = sys.stderr if options.json else sys.stdout
+    one_thread()  # trainings come first: they fork, as train.py does
+    raced = {"workers": measure_workers(cores, options.updates),
+             "programs": measure_programs(cores)}
     figures = measure(cores[:options.cores or 1], options.seconds)
     figures["peers"] = measure_peers(figures, options.seconds) if options.peers else {}
-    figures["workers"] = measure_workers(cores, options.updates)
-    figures["programs"] = measure_programs(cores)
+    figures |= raced
     print(report(figures), file=messages)
     if options.cores == 0:
         figures["all_cores"] = measure(cores, options.seconds)

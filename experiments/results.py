@@ -32,6 +32,9 @@ RESULTS = ROOT / "results"
 RUNS = ROOT / "runs" / "results"
 
 BUDGET = {"env1": 250_000, "env2": 400_000}  # steps, new targets' included
+# Of every run: the update as it was when the tables were made (docs/tuning-log.md), and one core.
+SETTINGS = ["--robots", "32", "--episodes-per-update", "32", "--learning-rate", "6e-4",
+            "--workers", "1"]
 WAYS = {  # to train, with seeds 0 to 4
     "one-start": ["--random-starts", "0", "--mirrored", "0"],
     "varied": []}
@@ -99,7 +102,7 @@ class Run:
             shutil.rmtree(self.folder, ignore_errors=True)
             options = (WAYS | ABLATIONS)[self.way]
             call("train.py", "--env", self.env, "--seed", self.seed, "--fixed-budget",
-                 "--steps", BUDGET[self.env], "--workers", 1, *options, "--out", self.folder)
+                 "--steps", BUDGET[self.env], *SETTINGS, *options, "--out", self.folder)
         for file, options in self.examinations.items():
             if not (self.folder / file).exists():
                 call("-m", "evaluation", self.folder, "--workers", 1, *options)
@@ -210,8 +213,7 @@ def write_tables(runs, ablations):
                             ("curves.csv", curve_rows)):
         write_table(name, [row for run in runs for row in make_rows(run)])
     if ablations:
-        whole = [run for run in runs if run.way == "varied" and run.seed in ABLATION_SEEDS]
-        write_table("ablations.csv", [seed_row(run) for run in whole + ablations])
+        write_table("ablations.csv", [seed_row(run) for run in ablations])
     for env in BUDGET:
         shutil.copy(Run(env, "varied", 0).folder / "model.pt", ROOT / "pretrained" / f"{env}.pt")
 

@@ -112,13 +112,15 @@ def summary_short(seeds):
     return markdown(header, table)
 
 
-def summary(seeds, floor):
-    """The paper's numbers, and the mean and the worst of our seeds.
+def summary(seeds, others, floor):
+    """The paper's numbers, and the mean and the worst of our seeds, here and on another machine.
 
-    seeds: rows of seeds.csv. floor: rows of floor.csv, the validation targets.
+    seeds, others: rows of seeds.csv and other-machine.csv. floor: rows of floor.csv, the
+    validation targets, which the other machine has not seen.
     """
     header = ["success, from the start pose unless said", "paper, one run"]
-    header += [f"{name}: mean (worst)" for name in WAYS.values()]
+    for name in WAYS.values():
+        header += [f"{name}: mean (worst)", f"{name}, other machine"]
     table = []
     for kind, name in (("new", "new targets"), ("training", "training targets"),
                        ("validation", "validation targets"),
@@ -126,11 +128,13 @@ def summary(seeds, floor):
         for room in ROOMS:
             cells = [f"{room}, {name}", PAPER.get((room, kind), "-")]
             for way in WAYS:
+                here, there = (select(rows, env=room, way=way) for rows in (seeds, others))
                 if kind == "validation":
-                    success = validation_success(select(floor, env=room, way=way))
+                    spots = select(floor, env=room, way=way)
+                    cells += [mean_and_worst(validation_success(spots)), "-"]
                 else:
-                    success = percentages(select(seeds, env=room, way=way), f"{kind}_success")
-                cells.append(mean_and_worst(success))
+                    cells += [mean_and_worst(percentages(rows, f"{kind}_success"))
+                              for rows in (here, there)]
             table.append(cells)
     return markdown(header, table)
 
@@ -183,10 +187,10 @@ def hidden_targets(hidden, seeds):
     return markdown(header, table)
 
 
-def ablations(ablated, others):
+def ablations(seeds, ablated, others):
     """What the parts of the network do: seeds 0 to 2, here and on the other machine.
 
-    ablated, others: rows of ablations.csv and other-machine.csv.
+    seeds, ablated, others: rows of seeds.csv, ablations.csv and other-machine.csv.
     """
     header = ["room", "network"]
     for name in ("new targets", "training targets", "from anywhere to anywhere"):
@@ -196,7 +200,7 @@ def ablations(ablated, others):
         for way, name in NETWORKS.items():
             cells = [room, name]
             for kind in ("new", "training", "anywhere"):
-                for rows in (ablated, others):
+                for rows in (seeds + ablated, others):
                     chosen = [row for row in select(rows, env=room, way=way)
                               if row["seed"] in ABLATION_SEEDS]
                     cells.append(ablation_cell(percentages(chosen, f"{kind}_success"), kind))
@@ -363,10 +367,10 @@ def clients(rows):
 
 TABLES = {  # marker: what makes the table, and the files in results/ that it is made from
     "summary-short": (summary_short, ["seeds.csv"]),
-    "summary": (summary, ["seeds.csv", "floor.csv"]),
+    "summary": (summary, ["seeds.csv", "other-machine.csv", "floor.csv"]),
     "seeds": (seed_by_seed, ["seeds.csv"]),
     "hidden": (hidden_targets, ["hidden.csv", "seeds.csv"]),
-    "ablations": (ablations, ["ablations.csv", "other-machine.csv"]),
+    "ablations": (ablations, ["seeds.csv", "ablations.csv", "other-machine.csv"]),
     "planners": (planner_comparison, ["planners.csv", "seeds.csv"]),
     "benchmark": (benchmark, ["benchmark.json"]),
     "workers": (workers, ["benchmark.json"]),

@@ -420,6 +420,7 @@ def test_the_benchmark_writes_its_figures_and_their_plot(tmp_path, monkeypatch, 
     monkeypatch.setattr(benchmark, "rate", count_once)
     monkeypatch.setattr(benchmark.os, "sched_setaffinity", lambda *_: None, raising=False)
     monkeypatch.setattr(benchmark.torch, "set_num_threads", lambda _: None)
+    monkeypatch.setattr(benchmark, "default_workers", lambda _: 1)
     monkeypatch.setattr(benchmark, "measure_workers", lambda *_: {})
     monkeypatch.setattr(benchmark, "measure_programs", lambda *_: {
         "start_up_seconds": {}, "seconds": {}, "memory_mb": 1})
@@ -521,7 +522,7 @@ def check_imports(path):
             assert function == "main", f"train.py imports evaluation in {function}"
 
 
-TESTS = [path for path in our_files() if path.name.startswith("test_")]
+TESTS = [path for path in our_files() if path.name.startswith(("test_", "conftest"))]
 
 
 @pytest.mark.parametrize("path", [path for path in our_files() if path not in TESTS], ids=str)

@@ -34,8 +34,10 @@ _can_fork = False
 
 
 def context():
-    """How this program starts processes."""
-    return multiprocessing.get_context("fork" if _can_fork else "spawn")
+    """How this program starts processes: as was set by `multiprocessing.set_start_method`, or else
+    as fast as is safe."""
+    chosen = multiprocessing.get_start_method(allow_none=True)
+    return multiprocessing.get_context(chosen or ("fork" if _can_fork else "spawn"))
 
 
 def in_processes(function, jobs, workers):

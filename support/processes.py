@@ -2,7 +2,7 @@
 
 A reader of the lesson can skip this file: `OneProcess` does nothing. The others have the same
 methods. `Worker` is one of several processes on this machine, as `--workers 2` starts them;
-`Torchrun` one of those that `torchrun --nproc-per-node 2 train.py` starts, on one machine or many.
+`TorchrunOnOneMachine` and `Torchrun` are those that `torchrun --nproc-per-node 2 train.py` starts.
 
 Every process drives its own robots for `steps_alone` steps at a time. Then they tell each other how
 many episodes they have; at an update they give each other these episodes, and each minibatch is cut
@@ -14,11 +14,13 @@ Python: two threads drive no faster than one.
 """
 
 import atexit
+import mmap
 import multiprocessing
 import os
 import pickle
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -103,16 +105,16 @@ class Board:
         self.arrived = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
 
 
-class Worker(_OneOfMany):
-    """One of several processes on this machine."""
+class _OnOneMachine(_OneOfMany):
+    """One of several processes on this machine, which show each other what they have in memory that
+    they share. They meet by `_meet`."""
 
-    def __init__(self, rank, count, board):
+    def __init__(self, rank, count, memory):
+        """memory: 2 x count x SLOT bytes that all see."""
         self.rank = rank
         self.count = count
-        self.started = []  # the processes that this one started
-        self._board = board
         # Two slots for each process, used in turn: nobody writes into what others may still read.
-        self._slots = np.frombuffer(board.memory, np.uint8).reshape(2, count, SLOT)
+        self._slots = np.frombuffer(memory, np.uint8).reshape(2, count, SLOT)
         self._turn = 0
 
     def gather(self, mine):
@@ -120,11 +122,13 @@ class Worker(_OneOfMany):
         content = pickle.dumps(mine, protocol=pickle.HIGHEST_PROTOCOL)
         sizes = self._show(np.array([len(content)])).view(np.int64)[:, 0].copy()
         parts = [bytearray() for _ in range(self.count)]
+        others = [rank for rank in range(self.count) if rank != self.rank]
         for start in range(0, max(sizes), SLOT):
             shown = self._show(np.frombuffer(content[start:start + SLOT], np.uint8), SLOT)
-            for part, slot, size in zip(parts, shown, sizes):
-                part += slot[:max(min(size - start, SLOT), 0)].data
-        return [pickle.loads(part) for part in parts]
+            for other in others:
+                parts[other] += shown[other, :max(min(sizes[other] - start, SLOT), 0)].data
+        return [mine if rank == self.rank else pickle.loads(parts[rank])
+                for rank in range(self.count)]
 
     def sum(self, tensor):
         """The sum of that tensor over all processes."""
@@ -146,6 +150,15 @@ class Worker(_OneOfMany):
         self._meet()
         return slots[:, :size]
 
+
+class Worker(_OnOneMachine):
+    """One of the processes that `start_workers` started, or the first, which called it."""
+
+    def __init__(self, rank, count, board):
+        super().__init__(rank, count, board.memory)
+        self.started = []  # the processes that this one started
+        self._board = board
+
     def _meet(self):
         """Waits until all processes are here."""
         others = [other for other in range(self.count) if other != self.rank]
@@ -160,7 +173,8 @@ class Worker(_OneOfMany):
         parent = multiprocessing.parent_process()
         if parent is None and not all(process.is_alive() for process in self.started):
             self.close()
-            sys.exit("error: a worker of this training has ended, killed or out of memory; "
+            # On a line of its own, after the progress bar.
+            sys.exit("\nerror: a worker of this training has ended, killed or out of memory; "
                      "--workers 1 needs the least memory")
         if parent is not None and (self._board.closed.value or not parent.is_alive()):
             raise Gone
@@ -198,11 +212,9 @@ def start_workers(count, work, *arguments):
 
 
 class Torchrun(_OneOfMany):
-    """One of the processes that torchrun started."""
+    """One of the processes that torchrun started, on several machines or GPUs."""
 
     def __init__(self):
-        distributed.init_process_group()
-        atexit.register(distributed.destroy_process_group)  # else its threads may abort the exit
         self.rank = distributed.get_rank()
         self.count = distributed.get_world_size()
 
@@ -218,6 +230,39 @@ class Torchrun(_OneOfMany):
         return tensor
 
 
+class TorchrunOnOneMachine(_OnOneMachine):
+    """One of the processes that torchrun started on this machine, without a GPU: memory is much
+    faster than torch's network."""
+
+    def __init__(self):
+        count = distributed.get_world_size()
+        name = [None]
+        if distributed.get_rank() == 0:
+            with tempfile.NamedTemporaryFile(prefix="navbot", delete=False) as file:
+                file.truncate(2 * count * SLOT)
+            name = [file.name]
+        distributed.broadcast_object_list(name)
+        with open(name[0], "r+b") as file:
+            memory = mmap.mmap(file.fileno(), 0)
+        super().__init__(distributed.get_rank(), count, memory)
+        self._meet()
+        if self.rank == 0:
+            os.unlink(name[0])  # those who have it open keep it
+
+    def _meet(self):
+        """Waits until all processes are here."""
+        distributed.barrier()
+
+
+def join_torchrun(device):
+    """This process among those that torchrun started."""
+    distributed.init_process_group()
+    atexit.register(distributed.destroy_process_group)  # else its threads may abort the exit
+    if device == "cpu" and int(os.environ["LOCAL_WORLD_SIZE"]) == distributed.get_world_size():
+        return TorchrunOnOneMachine()
+    return Torchrun()
+
+
 def join_processes(config, work, scenes):
     """This process among those that share a training: those that torchrun started, or the first of
     `config.workers`, which it starts. The others call work(config, scenes, processes)."""
@@ -225,7 +270,7 @@ def join_processes(config, work, scenes):
     if config.device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
     if torchrun_count() > 1:
-        return Torchrun()
+        return join_torchrun(config.device)
     if config.workers > 1:
         return start_workers(config.workers, work, config, scenes)
     return OneProcess()
@@ -237,7 +282,7 @@ def torchrun_count():
 
 
 def default_workers(config):
-    """As many workers as there are cores to use, MOST_WORKERS at most, that can share the robots."""
+    """As many workers as there are cores to use that can share the robots, MOST_WORKERS at most."""
     if torchrun_count():
         return torchrun_count()
     if config.device == "cuda":
