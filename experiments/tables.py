@@ -292,7 +292,16 @@ def workers(figures):
     for when, race in races.items():
         rates = [f"{sps:,.0f}" for count, sps in race.items() if count != "ratio"]
         table.append([names[when], *rates, f"{race['ratio']:.2f}"])
+    for cores in (4, 8):
+        table.append([f"a model, not measured: {cores} workers on {cores} idle cores", "", "",
+                      f"{amdahl(races['idle']['ratio'], cores):.2f}"])
     return markdown(header, table)
+
+
+def amdahl(ratio, cores):
+    """How many times as fast so many cores are as one, by Amdahl's law, where two are `ratio`."""
+    divided = 2 * (1 - 1 / ratio)  # the share of one core's time that the cores divide
+    return 1 / (1 - divided + divided / cores)
 
 
 def programs(figures):

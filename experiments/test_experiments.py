@@ -145,6 +145,13 @@ def test_the_table_of_the_benchmark_has_each_number_of_cores_its_roof_and_the_pe
     assert "peer" not in tables.benchmark(one | {"peers": {}})
 
 
+def test_the_model_of_more_cores_is_amdahls_law():
+    assert tables.amdahl(2.0, 8) == pytest.approx(8)  # everything is divided
+    assert tables.amdahl(1.0, 8) == pytest.approx(1)  # nothing is
+    assert tables.amdahl(1.6, 2) == pytest.approx(1.6)
+    assert tables.amdahl(1.6, 4) == pytest.approx(1 / (0.25 + 0.75 / 4))
+
+
 def test_the_table_of_stops_has_each_run_worst_first():
     rate = {"success": 0.5, "low": 0.25, "high": 0.75}
     runs = [{"seed": seed, "steps": 1234, "episodes": 56, "seconds": 7.8,

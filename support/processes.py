@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from torch import distributed
 
-from support.cores import available_cores, context, one_thread
+from support.cores import available_cores, context, give_memory_back, one_thread
 
 MOST_WORKERS = 4  # unless more are asked for: with fewer than 8 robots each, overhead takes over
 STEPS_ALONE = 4  # from one count of the episodes to the next
@@ -44,6 +44,7 @@ class OneProcess:
 
     def gather(self, mine):
         """What every process has, in the order of their ranks."""
+        give_memory_back()  # here, since it comes once in an update
         return [mine]
 
     def count_all(self, mine):
@@ -119,6 +120,7 @@ class _OnOneMachine(_OneOfMany):
 
     def gather(self, mine):
         """What every process has, in the order of their ranks."""
+        give_memory_back()
         content = pickle.dumps(mine, protocol=pickle.HIGHEST_PROTOCOL)
         sizes = self._show(np.array([len(content)])).view(np.int64)[:, 0].copy()
         parts = [bytearray() for _ in range(self.count)]
