@@ -934,7 +934,9 @@ def bad_call(capsys, main, arguments):
     (["--gamma", "nan"], ["--gamma is nan", "from 0.0 to 1.0"]),
     (["--memory", "elephant"], ["'elephant'", "'stacked', 'single', 'none'"]),
     (["--steps", "many"], ["--steps", "'many'"]),
-    (["--minibatches", "33"], ["--minibatches is 33", "at most 32"]),
+    (["--minibatches", "65"], ["--minibatches is 65", "at most 64"]),
+    (["--workers", "3"], ["--robots is 64", "multiple of the 3 processes"]),
+    (["--workers", "32"], ["--workers is 32", "at most 16"]),
     (["--out", "taken"], ["--out 'taken' exists already"]),
     (["--env", "bad.toml"], ["bad.toml", "new_targets[0]", "cannot be reached"]),
     (["--env", "broken.toml"], ["broken.toml"])])
