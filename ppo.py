@@ -152,7 +152,7 @@ def make_minibatch(episodes, batch_advantages, device=None):
     rows = pack_rows([len(episode) for episode in episodes])
 
     def pack(sequences):
-        """(M, T, ...) from a (length, ...) tensor for each episode."""
+        """(M, T, ...) from a (length, ...) array for each episode."""
         parted = [np.concatenate([steps, np.zeros_like(steps[:1])]) for steps in sequences]
         packed = [torch.as_tensor(np.concatenate([parted[k] for k in row])) for row in rows]
         return pad_sequence(packed, batch_first=True).to(device)

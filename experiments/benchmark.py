@@ -367,29 +367,32 @@ def start_up_seconds():
     return seconds
 
 
+def clock(owner, name, seconds, part):
+    """Adds to seconds[part] from now on what `owner.name` takes. Returns it as it was."""
+    call = getattr(owner, name)
+
+    def timed(*arguments):
+        start = time.perf_counter()
+        result = call(*arguments)
+        seconds[part] += time.perf_counter() - start
+        return result
+
+    setattr(owner, name, timed)
+    return call
+
+
 def where_time_goes(scene, workers):
     """Seconds that the parts of a training in env1 take, seed 0, until the paper's rule stops it,
     as the first of its processes sees them."""
     seconds = dict.fromkeys(("act", "environment", "gradient", "optimiser"), 0.0)
 
-    def clock(owner, name, part):
-        call = getattr(owner, name)
-
-        def timed(*arguments):
-            start = time.perf_counter()
-            result = call(*arguments)
-            seconds[part] += time.perf_counter() - start
-            return result
-        setattr(owner, name, timed)
-        return call
-
     start = time.perf_counter()
     training = make_training(workers, scene)
     seconds["making"] = time.perf_counter() - start
-    clock(training.model, "act", "act")
-    clock(training.env, "step", "environment")
-    clock(training.optimizer, "step", "optimiser")
-    untimed = clock(ppo, "gradient", "gradient")
+    clock(training.model, "act", seconds, "act")
+    clock(training.env, "step", seconds, "environment")
+    clock(training.optimizer, "step", seconds, "optimiser")
+    untimed = clock(ppo, "gradient", seconds, "gradient")
     collecting = 0.0
     start = time.perf_counter()
     while not training.is_over():
