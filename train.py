@@ -21,8 +21,9 @@ from ppo import Collector, update
 from sim import SceneError
 from support.adam import Adam
 from support.command_line import CommandLine, option
-from support.processes import check_run, join_processes
+from support.processes import join_processes
 from support.run_folder import NoFolder, RunFolder, new_folder
+from support.run_options import check_run
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B

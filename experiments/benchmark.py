@@ -35,16 +35,17 @@ from sim import World
 from support.command_line import CommandLine, option
 from support.cores import available_cores, one_thread
 from support.pictures import draw_curves, read_table
-from support.processes import OneProcess, default_workers, start_workers
+from support.processes import OneProcess, start_workers
 from support.run_folder import write
+from support.run_options import default_workers
 from train import SUCCESS_RATE, Config, Training
 
 ROBOTS = (1, 32, 256, 1024)
 BOXES = (4, 8, 16, 24, 40)
 TIMINGS = 15  # the best of so many counts
 TRAINING_TIMINGS = 5  # of training, each of them ten times as long
-ROUNDS = 11  # of a race
-TORCHRUN_STEPS = 5000  # of a race of torchrun, for each update of the others
+ROUNDS = 9  # of a race
+TORCHRUN_STEPS = 3000  # of a race of torchrun, for each update of the others
 ROOT = Path(__file__).parent.parent
 COMMANDS = {"the demo": ["navbot_min.py"], "training": ["train.py"],
             "evaluation": ["-m", "evaluation"], "drawing a room": ["-m", "scenes"]}
@@ -55,7 +56,7 @@ class Options:
     """What to measure."""
     cores: int = option(0, "measure on so many cores alone; 0 for one core, then for all", 0)
     seconds: float = option(0.2, "length of a timing", 0.001)
-    updates: int = option(3, "of a timing of workers", 1)
+    updates: int = option(6, "of a timing of workers", 1)
     peers: bool = option(False, "measure the peers too, where they are installed")
     out: str = option("benchmark.json", "file for the figures; the plot goes beside it, as .png")
     json: bool = option(False, "print the figures alone, as JSON, on standard output")
