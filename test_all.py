@@ -32,7 +32,8 @@ import train
 from scenes.test_scenes import box, square_room
 from support.adam import Adam
 from support.processes import OneProcess
-from support.run_folder import NoFolder, load_run
+from support.run_folder import NoFolder
+from support.weights import load_run
 
 ROOT = Path(__file__).parent
 ENV1 = scenes.load("env1")

@@ -22,7 +22,8 @@ from support.command_line import CommandLine, option
 from support.cores import available_cores, one_thread
 from support.film import write_film
 from support.pictures import draw_floor, draw_trajectories
-from support.run_folder import RunError, load_run, write
+from support.run_folder import write
+from support.weights import RunError, load_run
 
 MOST_DRAWN = 4  # scenes of a run whose paths are drawn
 

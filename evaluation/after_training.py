@@ -7,7 +7,7 @@ import sys
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate, report
 from support.pictures import draw_curves
-from support.run_folder import save_model
+from support.weights import save_model
 
 
 def finish(folder, training, scenes, seconds, stop_rate):

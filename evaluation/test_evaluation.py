@@ -20,7 +20,7 @@ from model import make_network
 from navbot_min import MAX_COMMAND, OUTCOMES, NavEnv, NavVecEnv
 from scenes.test_scenes import square_room
 from sim import ROBOT_RADIUS, SceneError, wrap_angle
-from support.run_folder import load_run, save_model
+from support.weights import load_run, save_model
 
 ROOT = Path(__file__).parent.parent
 ENV1 = scenes.load("env1")

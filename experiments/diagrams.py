@@ -24,7 +24,7 @@ from sim import (ARRIVAL_DISTANCE, CAMERA_HEIGHT, CONTROL_PERIOD, MAX_ANGULAR_VE
                  MAX_LINEAR_VELOCITY, ROBOT_RADIUS)
 from support.command_line import CommandLine
 from support.pictures import PALETTE, WIDTH, draw_robot, draw_room, draw_target
-from support.run_folder import load_run
+from support.weights import load_run
 from support.traces import drive
 from train import SUCCESS_RATE, WINDOW, Config
 

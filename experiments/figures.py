@@ -20,7 +20,7 @@ from support.pictures import (PALETTE, SPACING, WIDTH, WINDOW, draw_curves, draw
                               draw_room, draw_target, draw_trajectories, floor_handles,
                               outcome_handle, paint_floor, read_table, released_curve,
                               start_handle, target_handle)
-from support.run_folder import load_run
+from support.weights import load_run
 from support.traces import OUTCOMES
 from train import SUCCESS_RATE
 

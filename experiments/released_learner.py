@@ -33,7 +33,8 @@ from support.adam import Adam
 from support.command_line import CommandLine, option
 from support.pictures import read_table
 from support.processes import OneProcess
-from support.run_folder import RunFolder, save_model
+from support.run_folder import RunFolder
+from support.weights import save_model
 from train import WINDOW, Config, Training, train
 
 RESULT = Path(__file__).parent.parent / "results" / "released_learner.csv"

@@ -23,7 +23,8 @@ from support import processes
 from support.adam import Adam
 from support.processes import start_workers
 from support.ranges import range_readings
-from support.run_folder import RunError, RunFolder, load_run, new_folder, save_model, write
+from support.run_folder import RunFolder, new_folder, write
+from support.weights import RunError, load_run, save_model
 from test_all import random_episodes
 from train import Config
 
