@@ -213,14 +213,14 @@ def update(model, optimizer, learning_rate, episodes, config, rng, processes):
     history = []
     for _ in range(config.epochs):
         for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
-            mine = processes.share(chosen, lengths)
+            mine = processes.share(chosen, lengths)  # alone: all of them
             batch = make_minibatch([episodes[k] for k in mine], [A[k] for k in mine],
                                    model.log_std.device)
             # Padding too, which is not used.
             batch["advantages"] = (batch["advantages"] - errors.mean()) / (errors.std() + 1e-8)
             slope, statistics = gradient(model, batch, config.clip)
             weight = lengths[mine].sum() / lengths[chosen].sum()
-            slope, statistics = processes.average(slope, statistics, weight)
+            slope, statistics = processes.average(slope, statistics, weight)  # alone: the same
             norm = slope.norm().item()
             if norm > MAX_GRADIENT_NORM:
                 slope *= MAX_GRADIENT_NORM / norm

@@ -44,7 +44,7 @@ class Config:
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     without: str = option("", "an input that the network has to do without", choices=BLANKS)
     episodes_per_update: int = option(64, "N of Algorithm 1", 1)
-    workers: int = option(0, "processes that share the robots; 0 for the cores it may use", 0)
+    workers: int = option(0, "processes that share the robots; 0: one a core, 4 at most", 0)
     epochs: int = option(2, "K of Algorithm 1", 1)
     minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
     learning_rate: float = option(1e-3, "of Adam", 1e-9, 1.0)
@@ -157,6 +157,7 @@ class Training:
             for _ in range(min(self.processes.steps_alone, left)):
                 self.record.steps += self.config.robots
                 ended += [self._ended(*pair) for pair in self.collector.step()]
+            # Of one process alone: the same number, and all that it has.
             stored = self.processes.count_all(sum(not info["new"] for _, info in ended))
         everyone = [pair for pairs in self.processes.gather(ended) for pair in pairs]
         everyone.sort(key=lambda pair: pair[1]["steps"])

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -326,6 +327,59 @@ def measure_workers(cores, updates):
             "torchrun": race_of_torchrun(workers, TORCHRUN_STEPS * updates)}
 
 
+def measure_pauses(cores, updates):
+    """How long the parts of a training take, the median and the slowest, by one worker, by several,
+    and by one process with as many threads of torch's own; on an idle and on a busy machine."""
+    use(cores, threads=1)
+    workers = default_workers(Config())
+    if workers == 1:
+        return {}
+    ways = {"1 worker": (1, 1), f"{workers} workers": (workers, 1),
+            f"{workers} threads of torch's own": (1, workers)}
+    measured = {}
+    for when in ("idle", "busy"):
+        hog = multiprocessing.Process(target=keep_busy, daemon=True)
+        if when == "busy":
+            hog.start()
+        measured[when] = {}
+        for name, way in ways.items():
+            # A process of its own: after torch has had several threads it must not be forked.
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+                measured[when][name] = pool.submit(pauses, *way, updates).result()
+        if when == "busy":
+            hog.kill()
+    return measured
+
+
+def pauses(workers, threads, updates):
+    """Seconds of an update, of the network's acting in a step of all robots, and of the
+    environment's step: name -> [median, slowest]."""
+    one_thread()
+    training = make_training(workers, scenes.load("env1"))
+    torch.set_num_threads(threads)
+    seconds = {"update": [], "acting": [], "environment": []}
+    make_updates(training, 1)  # to warm up
+    note_seconds(training, "learn", seconds["update"])
+    note_seconds(training.model, "act", seconds["acting"])
+    note_seconds(training.env, "step", seconds["environment"])
+    make_updates(training, updates * ROUNDS)
+    training.processes.close()
+    return {part: [float(np.median(taken)), max(taken)] for part, taken in seconds.items()}
+
+
+def note_seconds(owner, name, seconds):
+    """From now on each call of `owner.name` adds to the list how long it took."""
+    call = getattr(owner, name)
+
+    def timed(*arguments):
+        start = time.perf_counter()
+        result = call(*arguments)
+        seconds.append(time.perf_counter() - start)
+        return result
+
+    setattr(owner, name, timed)
+
+
 def race_of_torchrun(processes, steps):
     """A training by one process, and one by so many that torchrun starts, in turn: as `race`."""
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
@@ -401,7 +455,8 @@ def where_time_goes(scene, workers):
         for info in training.collect():
             training.record.add(info)
         collecting += time.perf_counter() - began
-        training.learn()
+        if not training.is_over():
+            training.learn()
     total = time.perf_counter() - start
     ppo.gradient = untimed
     del training.model.act  # what is evaluated has to be picklable: the class's own again
@@ -524,6 +579,7 @@ def main(argv=None):
     messages = sys.stderr if options.json else sys.stdout
     one_thread()  # trainings come first: they fork, as train.py does
     raced = {"workers": measure_workers(cores, options.updates),
+             "pauses": measure_pauses(cores, options.updates),
              "programs": measure_programs(cores)}
     figures = measure(cores[:options.cores or 1], options.seconds)
     figures["peers"] = measure_peers(figures, options.seconds) if options.peers else {}

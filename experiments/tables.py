@@ -298,6 +298,22 @@ def workers(figures):
     return markdown(header, table)
 
 
+def pauses(figures):
+    """How long the parts of a training take, the median and the slowest. figures: benchmark.json.
+    """
+    ways = list(figures["pauses"]["idle"])
+    names = {"update": "an update", "acting": "acting, a step of all robots",
+             "environment": "the environment, a step of all robots"}
+    table = []
+    for when, measured in figures["pauses"].items():
+        for part, name in names.items():
+            cells = [" / ".join(f"{1000 * seconds:,.0f}" if seconds >= 0.1 else
+                                f"{1000 * seconds:.1f}" for seconds in measured[way][part])
+                     for way in ways]
+            table.append([f"{name}, {when}", *cells])
+    return markdown(["milliseconds: median / slowest", *ways], table)
+
+
 def amdahl(ratio, cores):
     """How many times as fast so many cores are as one, by Amdahl's law, where two are `ratio`."""
     divided = 2 * (1 - 1 / ratio)  # the share of one core's time that the cores divide
@@ -309,6 +325,9 @@ def programs(figures):
     measured = figures["programs"]
     table = [[f"training in env1 to the stop, seed 0: {part}", f"{seconds:.1f} s"]
              for part, seconds in measured["seconds"].items()]
+    whole = sum(seconds for part, seconds in measured["seconds"].items()
+                if part not in ("evaluation", "curves"))
+    table.append(["training in env1 to the stop, seed 0: training, all of it", f"{whole:.1f} s"])
     table += [[f"start-up of {name}", f"{seconds:.1f} s"]
               for name, seconds in measured["start_up_seconds"].items()]
     table.append(["peak of memory of `python train.py --env env1`, all processes",
@@ -383,6 +402,7 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "planners": (planner_comparison, ["planners.csv", "seeds.csv"]),
     "benchmark": (benchmark, ["benchmark.json"]),
     "workers": (workers, ["benchmark.json"]),
+    "pauses": (pauses, ["benchmark.json"]),
     "programs": (programs, ["benchmark.json"]),
     "stops": (stops, [f"env1-seed{seed}.json" for seed in range(5)]),
     "peaks": (peaks, ["curves.csv"]),

@@ -11,6 +11,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -417,6 +418,18 @@ def test_a_race_is_of_the_same_training_by_one_worker_and_by_several(monkeypatch
     assert race["1"] > 0 and race["2"] > 0 and race["ratio"] > 0
 
 
+def test_pauses_are_the_median_and_the_slowest_of_what_was_called():
+    class Sleeper:
+        def sleep(self, seconds):
+            time.sleep(seconds)
+            return seconds
+    sleeper = Sleeper()
+    taken = []
+    benchmark.note_seconds(sleeper, "sleep", taken)
+    assert [sleeper.sleep(seconds) for seconds in (0.01, 0.05)] == [0.01, 0.05]
+    assert 0.01 <= taken[0] < 0.05 <= taken[1]
+
+
 def test_memory_is_that_of_a_command_and_its_children():
     hold = "x = bytearray(60_000_000); import time; time.sleep(1)"
     child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', '{hold}'])"
@@ -429,6 +442,7 @@ def test_the_benchmark_writes_its_figures_and_their_plot(tmp_path, monkeypatch, 
     monkeypatch.setattr(benchmark.torch, "set_num_threads", lambda _: None)
     monkeypatch.setattr(benchmark, "default_workers", lambda _: 1)
     monkeypatch.setattr(benchmark, "measure_workers", lambda *_: {})
+    monkeypatch.setattr(benchmark, "measure_pauses", lambda *_: {})
     monkeypatch.setattr(benchmark, "measure_programs", lambda *_: {
         "start_up_seconds": {}, "seconds": {}, "memory_mb": 1})
     out = tmp_path / "figures.json"

@@ -8,7 +8,7 @@ import torch
 from support.cores import available_cores
 from support.processes import torchrun_count
 
-MOST_WORKERS = 4  # unless more are asked for: with fewer than 8 robots each, overhead takes over
+MOST_WORKERS = 4  # unless more are asked for: more were not tried, and each takes memory
 
 
 def default_workers(config):
