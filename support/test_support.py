@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -152,6 +153,21 @@ def test_torchrun_and_workers_share_a_training_and_write_the_same_bytes_again(tm
     assert summary["steps"] == 600 and summary["episodes"] == len(rows) > 20
     assert len(list(csv.reader(open(tmp_path / "again/updates.csv")))) > 1
     assert json.loads((tmp_path / "torchrun-2/config.json").read_text())["workers"] == 2
+
+
+def test_two_machines_write_what_two_workers_write(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    machine = [sys.executable, "-m", "torch.distributed.run", "--nnodes", "2", "--nproc-per-node",
+               "1", "--master-addr", "127.0.0.1", "--master-port", port]
+    program = [str(ROOT / "train.py"), *TINY, "--out"]
+    second = subprocess.Popen([*machine, "--node-rank", "1", *program, "two"], cwd=tmp_path)
+    first = subprocess.run([*machine, "--node-rank", "0", *program, "two"], cwd=tmp_path,
+                           capture_output=True, text=True, timeout=120)
+    assert (first.returncode, second.wait(60)) == (0, 0), first.stderr
+    shared = run_train(tmp_path, "workers", "--workers", "2")
+    assert (tmp_path / "two" / "episodes.csv").read_bytes() == shared
 
 
 def report(work, workers):
