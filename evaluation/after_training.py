@@ -6,6 +6,7 @@ import sys
 
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate, report
+from support.cores import available_cores
 from support.pictures import draw_curves
 from support.weights import save_model
 
@@ -28,8 +29,10 @@ def finish(folder, training, scenes, seconds, stop_rate):
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
     try:
-        summary["frozen"] = evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed,
-                                            config.workers)
+        # On this machine's cores: the other processes of a training may be on others, or on GPUs.
+        workers = min(config.workers, len(available_cores()))
+        summary["frozen"] = evaluate_frozen(model.cpu(), scenes, config.evaluation_episodes,
+                                            config.seed, workers)
     except KeyboardInterrupt:
         sys.exit("interrupted: the run is saved without its evaluation")
     folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))

@@ -9,6 +9,7 @@ convolutions in the same run, and the ratio to the peers, which are timed in the
 Axis letters: R robots, M rows of sequences, T steps.
 """
 
+import io
 import json
 import math
 import multiprocessing
@@ -467,7 +468,7 @@ def where_time_goes(scene, workers):
     evaluate_frozen(training.model, [scene], Config.evaluation_episodes, 0, workers)
     seconds["evaluation"] = time.perf_counter() - start
     start = time.perf_counter()
-    draw_curves(training.record.episodes, scene.name, SUCCESS_RATE)
+    draw_curves(training.record.episodes, scene.name, SUCCESS_RATE).savefig(io.BytesIO(), dpi=110)
     seconds["curves"] = time.perf_counter() - start
     return {part: round(value, 2) for part, value in seconds.items()}
 

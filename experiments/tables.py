@@ -284,8 +284,8 @@ def benchmark(figures):
 def workers(figures):
     """Training by one worker and by several. figures: benchmark.json."""
     races = figures["workers"]
-    header = ["training steps a second", *(f"{count} worker" + "s" * (count != "1")
-                                           for count in races["idle"] if count != "ratio"), "ratio"]
+    _, many, _ = races["idle"]
+    header = ["training steps a second", "1 worker", f"{many} workers", "ratio"]
     names = {"idle": "idle machine", "busy": "another process keeps one core busy",
              "torchrun": "processes of torchrun, idle machine"}
     table = []
@@ -294,7 +294,7 @@ def workers(figures):
         table.append([names[when], *rates, f"{race['ratio']:.2f}"])
     for cores in (4, 8):
         table.append([f"a model, not measured: {cores} workers on {cores} idle cores", "", "",
-                      f"{amdahl(races['idle']['ratio'], cores):.2f}"])
+                      f"{amdahl(races['idle']['ratio'], int(many), cores):.2f}"])
     return markdown(header, table)
 
 
@@ -314,9 +314,11 @@ def pauses(figures):
     return markdown(["milliseconds: median / slowest", *ways], table)
 
 
-def amdahl(ratio, cores):
-    """How many times as fast so many cores are as one, by Amdahl's law, where two are `ratio`."""
-    divided = 2 * (1 - 1 / ratio)  # the share of one core's time that the cores divide
+def amdahl(ratio, measured, cores):
+    """How many times as fast so many cores are as one, by Amdahl's law, where as many as were
+    measured are `ratio` times as fast."""
+    # The share of one core's time that the cores divide.
+    divided = (1 - 1 / ratio) * measured / (measured - 1)
     return 1 / (1 - divided + divided / cores)
 
 

@@ -8,6 +8,7 @@ import functools
 import importlib
 import io
 import json
+import multiprocessing
 import re
 import subprocess
 import sys
@@ -147,10 +148,13 @@ def test_the_table_of_the_benchmark_has_each_number_of_cores_its_roof_and_the_pe
 
 
 def test_the_model_of_more_cores_is_amdahls_law():
-    assert tables.amdahl(2.0, 8) == pytest.approx(8)  # everything is divided
-    assert tables.amdahl(1.0, 8) == pytest.approx(1)  # nothing is
-    assert tables.amdahl(1.6, 2) == pytest.approx(1.6)
-    assert tables.amdahl(1.6, 4) == pytest.approx(1 / (0.25 + 0.75 / 4))
+    assert tables.amdahl(2.0, 2, 8) == pytest.approx(8)  # everything is divided
+    assert tables.amdahl(1.0, 2, 8) == pytest.approx(1)  # nothing is
+    for measured in (2, 4):
+        ratio = 1 / (0.25 + 0.75 / measured)
+        for cores in (2, 4, 8):
+            whole = 1 / (0.25 + 0.75 / cores)
+            assert tables.amdahl(ratio, measured, cores) == pytest.approx(whole)
 
 
 def test_the_table_of_stops_has_each_run_worst_first():
@@ -405,15 +409,18 @@ def test_the_timed_training_is_the_real_one_with_half_of_the_robots_in_the_mirro
     assert steps == training.record.steps > 0 and share == sum(learnt) / steps
 
 
-def test_a_race_is_of_the_same_training_by_one_worker_and_by_several(monkeypatch):
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_race_is_of_the_same_training_by_one_worker_and_by_several(busy, monkeypatch):
     steps = []
 
     def count(training, updates):
         steps.append((training.processes.count, updates))
+        children = len(multiprocessing.active_children())
+        assert children == 1 + busy  # the other worker, and what keeps a core busy
         return 10, 5
     monkeypatch.setattr(benchmark, "ROUNDS", 2)
     monkeypatch.setattr(benchmark, "make_updates", count)
-    race = benchmark.race(benchmark.scenes.load("env1"), 2, 7)
+    race = benchmark.race(benchmark.scenes.load("env1"), 2, 7, busy)
     assert steps == [(1, 7), (2, 7)] * 3
     assert race["1"] > 0 and race["2"] > 0 and race["ratio"] > 0
 

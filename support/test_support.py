@@ -20,7 +20,7 @@ import scenes
 import sim
 from model import make_network
 from scenes.test_scenes import square_room
-from support import processes
+from support import processes, run_options
 from support.adam import Adam
 from support.processes import start_workers
 from support.ranges import range_readings
@@ -168,6 +168,18 @@ def test_two_machines_write_what_two_workers_write(tmp_path):
     assert (first.returncode, second.wait(60)) == (0, 0), first.stderr
     shared = run_train(tmp_path, "workers", "--workers", "2")
     assert (tmp_path / "two" / "episodes.csv").read_bytes() == shared
+
+
+@pytest.mark.parametrize("cores, options, torchrun, workers", [
+    (1, {}, 0, 1), (2, {}, 0, 2), (3, {}, 0, 2), (4, {}, 0, 4), (16, {}, 0, 4),
+    (2, {"robots": 7}, 0, 1), (4, {"robots": 9}, 0, 3), (4, {"device": "cuda"}, 0, 1),
+    (4, {"episodes_per_update": 8}, 0, 2),  # of which a minibatch has two
+    (4, {}, 8, 8)])
+def test_there_are_as_many_workers_as_cores_that_can_share_the_robots(
+        cores, options, torchrun, workers, monkeypatch):
+    monkeypatch.setattr(run_options, "available_cores", lambda: list(range(cores)))
+    monkeypatch.setenv("WORLD_SIZE", str(torchrun))
+    assert run_options.default_workers(Config(**options)) == workers
 
 
 def report(work, workers):
