@@ -108,24 +108,25 @@ class Scene:
 
     @cached_property
     def reachable(self):
-        """Centres (P, 2) [m] of the grid cells that the robot's disc can drive to from the start.
+        """Centres (P, 2) [m] of the grid cells that the robot's disc can drive to from the start,
+        sorted by x.
 
         A flood fill, so passages less than a cell wider than the robot may count as closed.
         Raises SceneError when the flood runs out of the room.
         """
-        low, high = self.bounds
-        x = np.arange(low[0] - CELL, high[0] + 2 * CELL, CELL)
-        y = np.arange(low[1] - CELL, high[1] + 2 * CELL, CELL)
+        x, y = [np.arange(low - CELL, high + 2 * CELL, CELL) for low, high in zip(*self.bounds)]
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
-        free = self.clearance(grid) > ROBOT_RADIUS
-        flood = free & (np.abs(grid - self.start[:2]).max(-1) <= CELL)
-        size = 0
-        while flood.sum() > size:
-            size = flood.sum()
-            grown = flood.copy()
-            for step, axis in ((-1, 0), (1, 0), (-1, 1), (1, 1)):
-                grown |= np.roll(flood, step, axis)
-            flood = grown & free
+        free = np.full(grid.shape[:2], True)
+        for box in self.boxes:
+            half = np.ptp(box.corners, axis=0) / 2 + ROBOT_RADIUS + CELL
+            near = np.ix_(np.abs(x - box.x) < half[0], np.abs(y - box.y) < half[1])
+            free[near] &= replace(self, boxes=(box,)).clearance(grid[near]) > ROBOT_RADIUS
+        flood = np.zeros_like(free)
+        front = np.flatnonzero(free & (np.abs(grid - self.start[:2]).max(-1) <= CELL))
+        while len(front):
+            flood.flat[front] = True
+            around = np.add.outer((-len(y), -1, 1, len(y)), front).ravel() % flood.size
+            front = np.unique(around[free.flat[around] & ~flood.flat[around]])
         if flood[[0, -1]].any() or flood[:, [0, -1]].any():
             raise SceneError("the room is not closed: the robot can drive out of it")
         return grid[flood]
@@ -139,6 +140,12 @@ class Scene:
         return np.flatnonzero(squared >= min(FAR_ENOUGH ** 2, squared.max()))
 
 
+def _touch(arbiter, space, touched):
+    """What pymunk calls where a robot touches a wall. touched: a list that gets the robot."""
+    arbiter.process_collision = False  # a hit is reported, never bounced
+    touched.append(arbiter.bodies[0].robot)
+
+
 class World:
     """R robots in one pymunk space; robot r drives in a copy of `scenes[r]`.
 
@@ -150,17 +157,17 @@ class World:
         """scenes: R Scenes, one for each robot. Robots start at their scenes' start poses."""
         self.scenes = list(scenes)
         self.space = pymunk.Space()
-        self.space.on_collision(ROBOT_TYPE, WALL_TYPE, pre_solve=self._touch)
-        self._offsets = self._lay_out_rooms()  # (R, 2) own room to space
         self._touched = []  # robots that touched a wall in this substep
-        self._robot_of = {}  # pymunk body -> r
+        # The space lives on until Python looks for cycles, so nothing in it may hold the world.
+        self.space.on_collision(ROBOT_TYPE, WALL_TYPE, pre_solve=_touch, data=self._touched)
+        self._offsets = self._lay_out_rooms()  # (R, 2) own room to space
         for r in range(len(self.scenes)):
             body = pymunk.Body(mass=1, moment=1)
             disc = pymunk.Circle(body, ROBOT_RADIUS)
             disc.filter = ROBOT_FILTER
             disc.collision_type = ROBOT_TYPE
             self.space.add(body, disc)
-            self._robot_of[body] = r
+            body.robot = r
         # One row a body, as pymunk's batch functions move them. The last is the space's static
         # body, which carries the walls and has to stay at zero.
         self._rows = np.zeros((len(self.scenes) + 1, 6))
@@ -208,10 +215,6 @@ class World:
                 wall.collision_type = WALL_TYPE
                 self.space.add(wall)
         return offsets
-
-    def _touch(self, arbiter, space, data):
-        arbiter.process_collision = False  # a hit is reported, never bounced
-        self._touched.append(self._robot_of[arbiter.bodies[0]])
 
     @property
     def poses(self):

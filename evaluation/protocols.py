@@ -18,7 +18,8 @@ import numpy as np
 
 from navbot_min import NavVecEnv
 from render import CUBE_SIZE
-from sim import ROBOT_RADIUS, Scene, SceneError
+from scenes import distance_to_reachable
+from sim import CELL, ROBOT_RADIUS, Scene, SceneError
 
 # At most. More robots wait longer for the last: each drives its episodes one after another.
 EPISODES_PER_ROBOT = 16
@@ -94,7 +95,7 @@ def validation_scene(scene):
     columns, rows = (np.ptp(scene.bounds, axis=0) / PATCH).astype(int)
     grid = scene.bounds[0] + PATCH * np.argwhere(np.ones((columns, rows)))  # (P, 2)
     exam = np.array([scene.start[:2], *scene.new_targets])
-    reachable = distance_to_nearest(grid, scene.reachable) < 0.02
+    reachable = distance_to_reachable(scene, grid, CELL) < 0.02
     untrained = distance_to_nearest(grid, np.array(scene.training_targets)) >= CUBE_SIZE
     apart = distance_to_nearest(grid, exam) >= EXAM_DISTANCE
     spots = grid[reachable & untrained & apart]

@@ -15,17 +15,19 @@ A Scene is in metres and radians, as everything else here. `python -m scenes FIL
 """
 
 import math
-import sys
+import re
 import tomllib
 from dataclasses import fields as fields_of
 from pathlib import Path
 
 import numpy as np
 
+from scenes import neighbours  # before any other of ours: it checks that they are ours
+from scenes.limits import (LARGEST_FILE, MOST_BOXES, MOST_COVERED, MOST_TARGETS, WIDEST, check,
+                           check_name, check_text, number, sentence, shown, shown_path)
 from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, SceneError
 
 MATERIALS = ("wall", "brick", "wood")  # those that the camera has a texture for
-WIDEST = 30  # [m] that a room may measure, our choice
 SCENE_FOLDER = Path(__file__).parent
 
 
@@ -38,34 +40,58 @@ def load(name_or_path):
     """The Scene of that name in `scenes/`, or of a scene file's path.
 
     Raises SceneError, one sentence that names the file and the item, for a file that cannot be read
-    and for a room that a robot cannot be run in.
+    and for a room that a robot cannot be run in. What a file may hold: `scenes/limits.py`.
     """
-    path = SCENE_FOLDER / f"{name_or_path}.toml"
-    if not path.is_file():
-        path = Path(name_or_path)
-    if not path.is_file() and path.suffix:
-        raise SceneError(f"scene file '{name_or_path}' does not exist")
-    if not path.is_file():
-        raise SceneError(f"unknown scene '{name_or_path}': it must be one of {', '.join(names())}, "
-                         "or a scene file's path")
+    path = Path(name_or_path)
+    if str(name_or_path) in names():
+        path = SCENE_FOLDER / f"{name_or_path}.toml"
+    what = f"scene file {shown_path(path)}"
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        return parse(table, path.stem)
+        exists = path.is_file()
+        check(exists or not path.suffix, f"{what} does not exist")
+        check(exists, f"unknown scene {shown_path(path)}: it must be one of {', '.join(names())}, "
+                      "or a scene file's path")
+        table = read(path)
     except OSError as error:
-        raise SceneError(f"scene file '{path}' cannot be read: {error.strerror}") from None
-    except ValueError as error:  # of the room, of the TOML or of the text's encoding
-        raise SceneError(f"scene file '{path}': {error}") from None
+        raise SceneError(f"{what} cannot be read: {error.strerror}") from None
+    try:
+        return parse(table, path.stem)
+    except SceneError as error:
+        raise SceneError(sentence(f"{what}: {error}")) from None
+
+
+def read(path):
+    """The dict that a TOML file holds. Raises SceneError, OSError."""
+    what = f"scene file {shown_path(path)}"
+    with open(path, "rb") as file:
+        content = file.read(LARGEST_FILE + 1)
+    check(len(content) <= LARGEST_FILE, f"{what} has more than {LARGEST_FILE:,} bytes")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{what}: byte {error.start} is no UTF-8 text") from None
+    check_text(text, what)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"line \d+, column \d+", str(error))
+        raise SceneError(f"{what} is no valid TOML at {place[0] if place else 'its end'}") from None
+    except RecursionError:
+        raise SceneError(f"{what} has lists or tables that are nested too deeply") from None
+    except ValueError:
+        raise SceneError(f"{what} has a number that is too long") from None
 
 
 def parse(table, name):
     """The Scene of that name that a dict like a scene file's content describes: world coordinates,
     angles in degrees. Raises SceneError."""
+    check_name(name)
     _check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene")
     start = table["start"]
     _check_keys(start, ("x", "y", "heading_degrees"), "start")
-    x = _number(start["x"], "start.x")
-    y = _number(start["y"], "start.y")
-    heading = _number(start["heading_degrees"], "start.heading_degrees")
+    x = number(start["x"], "start.x")
+    y = number(start["y"], "start.y")
+    heading = number(start["heading_degrees"], "start.heading_degrees")
     return _checked_scene(name, table, (x, y, math.radians(heading)), yaw_key="yaw_degrees")
 
 
@@ -73,17 +99,17 @@ def rebuild(fields):
     """The Scene that `dataclasses.asdict` made this dict of, as a checkpoint holds it: angles in
     radians, start a list (x, y, heading). Raises SceneError, for a checkpoint is a file too."""
     _check_keys(fields, [field.name for field in fields_of(Scene)], "the scene")
-    name = fields["name"]
-    _check(isinstance(name, str), f"name is {name!r}, it must be text")
+    check_name(fields["name"])
     start = _numbers(fields["start"], 3, "start")
-    return _checked_scene(name, fields, start, yaw_key="yaw")
+    return _checked_scene(fields["name"], fields, start, yaw_key="yaw")
 
 
 def _checked_scene(name, table, start, yaw_key):
     """The Scene of a table's boxes and targets, checked as a whole."""
-    boxes = _entries(table, "boxes", least=1)
-    training = _entries(table, "training_targets", least=1)
-    new = _entries(table, "new_targets", least=0)  # a room of level 1 has none
+    boxes = _entries(table, "boxes", least=1, most=MOST_BOXES)
+    training = _entries(table, "training_targets", least=1, most=MOST_TARGETS)
+    new = _entries(table, "new_targets", least=0,  # a room of level 1 has none
+                   most=MOST_TARGETS - len(training))
     scene = Scene(
         name,
         boxes=tuple(_box(box, f"boxes[{k}]", yaw_key) for k, box in enumerate(boxes)),
@@ -92,81 +118,92 @@ def _checked_scene(name, table, start, yaw_key):
                                for k, target in enumerate(training)),
         new_targets=tuple(_numbers(target, 2, f"new_targets[{k}]")
                           for k, target in enumerate(new)))
-    widest = np.ptp(scene.bounds, axis=0).max()
-    _check(widest <= WIDEST,
-           f"the boxes are spread over {widest:.1f} m, it must be at most {WIDEST} m")
-    _check(scene.clearance(start[:2]) > ROBOT_RADIUS,
-           f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
-    for k, target in enumerate(scene.training_targets):
-        _check_target(scene, target, f"training_targets[{k}] {target}")
-    for k, target in enumerate(scene.new_targets):
-        what = f"new_targets[{k}] {target}"
-        _check_target(scene, target, what)
-        _check(target not in scene.training_targets, f"{what} is a training one too")
+    _check_boxes(scene)
+    check(scene.clearance(start[:2]) > ROBOT_RADIUS,
+          f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
+    _check_targets(scene)
     return scene
 
 
-def _check_target(scene, target, what):
-    _check(scene.clearance(target) > 0, f"{what} is inside a box")
-    away = scene.reachable - target
-    nearest = np.hypot(away[:, 0], away[:, 1]).min(initial=np.inf)
-    _check(nearest < ARRIVAL_DISTANCE, f"{what} cannot be reached from the start")
+def _check_boxes(scene):
+    """Checks what the boxes come to together: the time that a room takes grows with both."""
+    widest = np.ptp(scene.bounds, axis=0).max()
+    check(widest <= WIDEST,
+          f"the boxes are spread over {widest:.1f} m, it must be at most {WIDEST} m")
+    covered = sum(np.prod(np.ptp(box.corners, axis=0) + 2 * ROBOT_RADIUS) for box in scene.boxes)
+    check(covered <= MOST_COVERED, f"the rectangles around all boxes cover {covered:,.0f} m2 "
+                                   f"together, it must be at most {MOST_COVERED:,} m2")
+
+
+def _check_targets(scene):
+    """Checks that no target is in a box, and that all can be driven to."""
+    names_of = [f"training_targets[{k}] {target}"
+                for k, target in enumerate(scene.training_targets)]
+    names_of += [f"new_targets[{k}] {target}" for k, target in enumerate(scene.new_targets)]
+    inside = scene.clearance(scene.targets) <= 0
+    away = distance_to_reachable(scene, scene.targets, ARRIVAL_DISTANCE)
+    for k, what in enumerate(names_of):
+        check(not inside[k], f"{what} is inside a box")
+        check(away[k] < ARRIVAL_DISTANCE, f"{what} cannot be reached from the start")
+    trained = set(scene.training_targets)
+    for k, target in enumerate(scene.new_targets):
+        check(target not in trained, f"new_targets[{k}] {target} is a training one too")
+
+
+def distance_to_reachable(scene, points, most):
+    """Distance [m] from each of the points (P, 2) to the nearest place that the robot can drive to;
+    infinite where that is more than `most` away, or a little less."""
+    reachable = scene.reachable  # sorted by x
+    nearest = []
+    for x, y in points:
+        first, last = np.searchsorted(reachable[:, 0], (x - most, x + most))
+        dx, dy = reachable[first:last].T - [[x], [y]]
+        nearest.append(np.hypot(dx, dy).min(initial=np.inf))
+    return np.array(nearest)
 
 
 def _box(table, what, yaw_key):
     """The Box of a table whose yaw stands under `yaw_degrees`, or under `yaw` [rad]."""
     _check_keys(table, ("material", "x", "y", yaw_key, "length", "thickness", "height"), what)
     material = table["material"]
-    _check(material in MATERIALS,
-           f"{what}.material is {material!r}, it must be one of {', '.join(MATERIALS)}")
-    yaw = _number(table[yaw_key], f"{what}.{yaw_key}")
+    check(isinstance(material, str) and material in MATERIALS,
+          f"{what}.material is {shown(material)}, it must be one of {', '.join(MATERIALS)}")
+    yaw = number(table[yaw_key], f"{what}.{yaw_key}")
     if yaw_key == "yaw_degrees":
         yaw = math.radians(yaw)
     return Box(
         material,
-        x=_number(table["x"], f"{what}.x"),
-        y=_number(table["y"], f"{what}.y"),
+        x=number(table["x"], f"{what}.x"),
+        y=number(table["y"], f"{what}.y"),
         yaw=yaw,
-        length=_number(table["length"], f"{what}.length", above=0),
-        thickness=_number(table["thickness"], f"{what}.thickness", above=0),
+        length=number(table["length"], f"{what}.length", above=0),
+        thickness=number(table["thickness"], f"{what}.thickness", above=0),
         # The camera draws no tops of boxes, so all of them are higher than the camera.
-        height=_number(table["height"], f"{what}.height", above=CAMERA_HEIGHT))
-
-
-def _check(valid, message):
-    if not valid:
-        raise SceneError(message)
+        height=number(table["height"], f"{what}.height", above=CAMERA_HEIGHT))
 
 
 def _check_keys(table, keys, what):
     """Checks that a table has these keys and no others."""
-    _check(isinstance(table, dict), f"{what} is {table!r}, it must be a table")
+    check(isinstance(table, dict), f"{what} is {shown(table)}, it must be a table")
     for key in keys:
-        _check(key in table, f"{what} has no '{key}'")
+        check(key in table, f"{what} has no '{key}'")
     for key in table:
-        _check(key in keys, f"{what} has an unknown key '{key}'; known: {', '.join(keys)}")
+        check(isinstance(key, str) and key in keys,
+              f"{what} has an unknown key {shown(key)}; known: {', '.join(keys)}")
 
 
-def _entries(table, key, least):
+def _entries(table, key, least, most):
     """The list under a table's key."""
     entries = table[key]
     valid = f"a list with at least {least} entry" if least else "a list"
-    _check(isinstance(entries, (list, tuple)) and len(entries) >= least,
-           f"{key} is {entries!r}, it must be {valid}")
+    check(isinstance(entries, (list, tuple)) and len(entries) >= least,
+          f"{key} is {shown(entries)}, it must be {valid}")
+    check(len(entries) <= most, f"{key} has {len(entries):,} entries, it may have {most:,}")
     return entries
 
 
 def _numbers(value, count, what):
     """A tuple of so many floats."""
-    _check(isinstance(value, (list, tuple)) and len(value) == count,
-           f"{what} is {value!r}, it must be a list of {count} numbers")
-    return tuple(_number(item, f"{what}[{k}]") for k, item in enumerate(value))
-
-
-def _number(value, what, above=-math.inf):
-    """A finite float above that bound."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    _check(is_number and abs(value) <= sys.float_info.max,  # false for nan as well
-           f"{what} is {value!r}, it must be a finite number")
-    _check(value > above, f"{what} is {value!r}, it must be above {above}")
-    return float(value)
+    check(isinstance(value, (list, tuple)) and len(value) == count,
+          f"{what} is {shown(value)}, it must be a list of {count} numbers")
+    return tuple(number(item, f"{what}[{k}]") for k, item in enumerate(value))

@@ -49,7 +49,7 @@ def draw(scene):
     draw_target(above, scene, target, ring=True)
     draw_robot(above, scene.start)
     above.set_title(f"{scene.name}: the robot at its start,\n"
-                    "training targets blue, new ones green", fontsize=10)
+                    "training targets blue, new ones green", fontsize=10, parse_math=False)
     images = Camera([scene]).render(np.array([0]), np.array([scene.start]), np.array([target]))
     camera.imshow(images[0])
     camera.set_title("what its camera sees there,\nin an episode to the target with a ring",
@@ -63,17 +63,15 @@ def main(argv=None):
     from support.command_line import CommandLine
 
     parser = CommandLine("Draw a room, or say what is wrong with it.")
-    parser.prog = "python -m scenes"
-    parser.add_argument("scene", help="a scene's name, or the path of a scene file")
+    parser.add_argument("scene", metavar="SCENE", help="a scene's name, or a path to a scene file")
     options = parser.parse(argv)
+    parser.must_write_to(".")
     try:
         scene = load(options.scene)
         path = Path(f"{scene.name}.png")
         draw(scene).savefig(path, dpi=110, bbox_inches="tight")
-    except SceneError as error:
+    except (SceneError, OSError) as error:
         parser.error(error)
-    except OSError as error:
-        parser.error(f"'{path}' cannot be written: {error.strerror}")
     print(path)
     print(facts(scene))
 

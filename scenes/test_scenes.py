@@ -102,7 +102,7 @@ def test_a_scene_comes_back_from_its_fields_bit_for_bit(scene):
     (dict(training_targets=[]), "training_targets is [], it must be a list with at least 1"),
     (dict(new_targets=0), "new_targets is 0, it must be a list"),
     (dict(new_targets=[[math.nan, 0.0]]), "new_targets[0][0] is nan"),
-    (dict(new_targets=[[10 ** 400, 0.0]]), "it must be a finite number"),
+    (dict(new_targets=[[10 ** 400, 0.0]]), "new_targets[0][0] is a huge number, it must be"),
     (dict(new_targets=[[1.0, 0.0]]), "is a training one too"),
     (dict(start=[0.0, 0.0, 0.0]), "start is [0.0, 0.0, 0.0], it must be a table"),
     (dict(start=dict(x=0.0, y=0.0, heading=0.0)), "start has no 'heading_degrees'"),
@@ -112,7 +112,7 @@ def test_a_scene_comes_back_from_its_fields_bit_for_bit(scene):
     (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
     (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2, it must be above 0.281"),
     (dict(boxes=[box(material="glass")]), "boxes[0].material is 'glass'"),
-    (dict(boxes=[*square_room()["boxes"], box(x=1e9)]), "spread over 1000000002.2 m"),
+    (dict(boxes=[*square_room()["boxes"], box(x=1e5)]), "spread over 100002.2 m"),
     (dict(boxes=[box(length="long")]), "boxes[0].length is 'long'"),
     (dict(boxes=[{}]), "boxes[0] has no 'material'"),
     (dict(boxes=[box(yaw=0.0)]), "boxes[0] has an unknown key 'yaw'"),
@@ -124,8 +124,8 @@ def test_a_bad_scene_is_one_error_that_names_the_item(change, words):
 
 @pytest.mark.parametrize("change, words", [
     (dict(start=(0.0, 0.0)), "start is (0.0, 0.0), it must be a list of 3 numbers"),
-    (dict(name=1), "name is 1, it must be text"),
-    (dict(boxes=ENV1.boxes), "boxes[0] is Box("),
+    (dict(name=1), "name is 1, it must be 1 to 80 printable characters"),
+    (dict(boxes=ENV1.boxes), "boxes[0] is a Box, it must be a table"),
     (dict(training_targets=((-9.0, 0.0),)), "training_targets[0] (-9.0, 0.0) cannot be reached")])
 def test_a_bad_scene_of_a_checkpoint_is_one_error_too(change, words):
     with pytest.raises(SceneError, match=re.escape(words)):
@@ -150,9 +150,9 @@ def test_a_room_is_drawn_without_torch(tmp_path):
 
 @pytest.mark.parametrize("content, words", [
     (None, "scene file 'bad.toml' does not exist"),
-    (b"start = [", "scene file 'bad.toml': "),
-    (b"\xff", "scene file 'bad.toml': "),
-    (b"x = " + b"9" * 5000, "scene file 'bad.toml': "),
+    (b"start = [", "scene file 'bad.toml' is no valid TOML at its end"),
+    (b"\xff", "scene file 'bad.toml': byte 0 is no UTF-8 text"),
+    (b"x = " + b"9" * 5000, "scene file 'bad.toml' has a number that is too long"),
     (b"start = 1", "scene file 'bad.toml': the scene has no 'boxes'"),
     ((ROOT / "scenes" / "env1.toml").read_bytes().replace(b"[-3.0, -2.2]", b"[-3.0, 5.0]"),
      "scene file 'bad.toml': new_targets[0] (-3.0, 5.0) cannot be reached from the start")])

@@ -1,7 +1,7 @@
 """Pictures of training and of evaluation, as matplotlib figures, and the palette of all pictures.
 
-A picture is a `matplotlib.figure.Figure`, which needs no display. One meaning has one colour in all
-of them: PALETTE.
+A picture is a `matplotlib.figure.Figure`, which needs no display. A room's name is drawn as it is,
+not read as a formula where it has two `$`. One meaning has one colour in all of them: PALETTE.
 """
 
 import csv
@@ -166,7 +166,8 @@ def draw_demo(scene, traces):
         panels[name].axis("off")
     different = len({trace.poses.tobytes() for trace in traces})
     axes.set_title(f"{scene.name}: {len(traces)} episodes, {different} different paths\n"
-                   "thick: the last one; right: its camera at 1 to 6", fontsize=10)
+                   "thick: the last one; right: its camera at 1 to 6", fontsize=10,
+                   parse_math=False)
     figure.legend(handles=[start_handle(), *target_handles(scene), *outcome_handles(traces)],
                   loc="outside lower center", ncols=6, frameon=False, fontsize=9)
     return figure
@@ -241,7 +242,7 @@ def draw_curves(episodes, env, stop_rate):
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
     panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
                          label=f"training stops above {stop_rate:.0%}")
-    figure.suptitle(env)
+    figure.suptitle(env, parse_math=False)
     handles = {}  # by label: each once, whichever panel it is in
     for axes in panels.flat:
         handles |= {handle.get_label(): handle for handle in axes.get_legend_handles_labels()[0]}
@@ -303,7 +304,7 @@ def draw_trajectories(scene, traces, most=20):
         draw_group(axes, scene, goal, group, most if goal is not None else 4 * most)
     for axes in panels.flat[len(groups):]:
         axes.axis("off")
-    figure.suptitle(f"{scene.name}: where the robot drove")
+    figure.suptitle(f"{scene.name}: where the robot drove", parse_math=False)
     shown = {kind_of(scene, goal) for goal, _ in groups if goal is not None}
     targets = [target_handle(kind) for kind in ("training", "new") if kind in shown]
     figure.legend(handles=[start_handle(), *targets, *outcome_handles(traces)],
@@ -346,7 +347,8 @@ def draw_floor(scene, traces, patch):
     mesh, grey = paint_floor(axes, scene, [trace.goal for trace in traces],
                              [trace.outcome == "arrival" for trace in traces], patch)
     figure.colorbar(mesh, label="success rate [%]", shrink=0.8)
-    figure.suptitle(f"{scene.name}: success by where the target is, {len(traces):,} episodes")
+    figure.suptitle(f"{scene.name}: success by where the target is, {len(traces):,} episodes",
+                    parse_math=False)
     figure.legend(handles=floor_handles(scene, grey), loc="outside lower center", ncols=4,
                   frameon=False)
     return figure
