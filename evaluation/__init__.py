@@ -5,6 +5,7 @@ planner; `evaluate(driver, scenes)` does the same from a program. No part of it 
 network drives.
 """
 
+import scenes  # first: it checks that no file of somebody else's stands in for one of ours
 from evaluation.drivers import Planned, Policy
 from evaluation.examine import evaluate, film_episode, report, rollouts, table
 from evaluation.measures import ShortestPaths, spl, summarise, wilson

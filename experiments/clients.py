@@ -212,6 +212,9 @@ def main(argv=None):
     """The command line."""
     parser = CommandLine("Try which other libraries can drive the environments.")
     parser.parse(argv)
+    if not __debug__:
+        parser.error("python -O leaves out what the clients are checked by, it must be left out")
+    parser.must_write_to(ROOT / "results")
     try:
         for package in PACKAGES:
             version(package)

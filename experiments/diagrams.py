@@ -26,7 +26,8 @@ from support.command_line import CommandLine
 from support.pictures import PALETTE, WIDTH, draw_robot, draw_room, draw_target
 from support.weights import load_run
 from support.traces import drive
-from train import SUCCESS_RATE, WINDOW, Config
+from support.record import WINDOW
+from train import SUCCESS_RATE, Config
 
 ROOT = Path(__file__).parent.parent
 PICTURES = ROOT / "pictures"
@@ -192,7 +193,8 @@ def draw_inputs(axes, y, target, last):
 def draw_heads(axes, y, actions, values):
     """What leaves the network: means of so many velocities, and so many values; and the standard
     deviations, which nothing enters."""
-    assert (actions, values) == (2, 1)
+    if (actions, values) != (2, 1):
+        raise ValueError(f"the drawing is of 2 means and 1 value, not of {actions} and {values}")
     middle = 7.95
     heads = ((y + 0.6, f"linear: sigmoid, 0 to 1\nof {MAX_LINEAR_VELOCITY:g} m/s"),
              (y, f"angular: tanh, -1 to 1\nof {MAX_ANGULAR_VELOCITY:g} rad/s"),
@@ -569,8 +571,8 @@ def draw_all():
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Draw every drawing that explains into pictures/.")
-    parser.prog = "python -m experiments.diagrams"
     parser.parse(argv)
+    parser.must_write_to(PICTURES)
     for name, figure in draw_all():
         path = PICTURES / f"{name}.png"
         figure.savefig(path, dpi=DPI)

@@ -258,8 +258,8 @@ def draw_all():
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Draw every figure of the results into pictures/.")
-    parser.prog = "python -m experiments.figures"
     parser.parse(argv)
+    parser.must_write_to(PICTURES)
     for name, figure in draw_all():
         path = PICTURES / f"{name}.png"
         figure.savefig(path, dpi=DPI)
