@@ -22,7 +22,7 @@ from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LIN
                  SceneError, World, wrap_angle)
 from support import checks
 from support.command_line import CommandLine
-from support.screen import Screen
+from support.screen import Screen, Screens
 
 ARRIVAL_REWARD = 100.0  # released config
 COLLISION_REWARD = -50.0  # released config
@@ -105,7 +105,7 @@ class NavVecEnv(VectorEnv):
         self.starts = np.zeros((num_envs, 3))  # poses that these episodes started at
         self._steps = None  # (R,) steps so far; None before the first reset
         self._return = np.zeros(num_envs)  # rewards so far
-        self._screens = [Screen() for _ in range(num_envs)] if render_mode else []
+        self._screens = Screens(num_envs if render_mode else 0)
 
     def _make_spaces(self):
         """What Gymnasium wants to know of observations and actions."""
@@ -131,7 +131,7 @@ class NavVecEnv(VectorEnv):
         robots = np.arange(self.num_envs)
         self._steps = np.zeros(self.num_envs, dtype=int)
         observations = self._begin(robots, options)
-        self._look(observations)
+        self._screens.see(self.world.poses, observations, self._steps * CONTROL_PERIOD)
         return observations, {"pose": self.world.poses, "command": np.zeros((self.num_envs, 2))}
 
     def _begin(self, robots, options):
@@ -141,8 +141,7 @@ class NavVecEnv(VectorEnv):
             # What `reset` was asked for stands above what was drawn; mostly nothing was.
             episode = checks.asked_episode(self.sample_episode(r), options, r, scene)
             self._target[r], self.goals[r], self.starts[r] = episode
-            if self._screens:
-                self._screens[r].begin(scene, self.goals[r])
+            self._screens.begin(r, scene, self.goals[r])
         self._steps[robots] = 0
         self._return[robots] = 0
         self.world.place(robots, self.starts[robots])
@@ -202,7 +201,7 @@ class NavVecEnv(VectorEnv):
             infos |= self._final_infos(terminated | truncated, outcome, observations)
             for key, first in self._begin(ended, {}).items():
                 observations[key][ended] = first
-        self._look(observations)
+        self._screens.see(self.world.poses, observations, self._steps * CONTROL_PERIOD)
         return observations, reward, terminated, truncated, infos
 
     def _final_infos(self, done, outcome, observations):
@@ -219,26 +218,25 @@ class NavVecEnv(VectorEnv):
                 "target_index": self._target.copy(), "new": self._target >= self._training_count,
                 "scene": self.scene_of.copy()}
 
-    def _look(self, observations):
-        """Keeps what the robots see now for `render`."""
-        for r, screen in enumerate(self._screens):
-            screen.see(self.world.poses[r], observations["image"][r], observations["velocity"][r],
-                       self._steps[r] * CONTROL_PERIOD)
-
     def render(self):
         """With render_mode "rgb_array", the map beside the camera's image of every robot: a tuple
         of R (height, width, 3) uint8 pictures. Raises ResetNeeded."""
-        return tuple(screen.picture() for screen in self._screens) if self._screens else None
+        return self._screens.pictures()
 
     def state(self):
-        """All that changes while robots drive, for `load_state`: arrays and numbers alone."""
+        """All that changes while robots drive, for `load_state`: arrays and numbers alone. Raises
+        ResetNeeded."""
+        if self._steps is None:
+            raise ResetNeeded("state() was called before reset()")
         arrays = {name: getattr(self, name).copy() for name in self.changing}
+        arrays |= self._screens.state()
         return arrays | {"world": self.world.state(), "random": self.np_random.bit_generator.state}
 
     def load_state(self, state):
         """Goes on from a state of an environment that was made in the same way."""
         for name in self.changing:
             setattr(self, name, state[name].copy())
+        self._screens.load_state(state, self.world.scenes)
         self.world.load_state(state["world"])
         self.np_random.bit_generator.state = state["random"]
 
@@ -337,7 +335,7 @@ class TurnToTarget:
 def main(argv=None):
     """The command line: a demonstration of the world that needs no torch."""
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
-    parser.add_argument("--env", default="env1", help="a scene's name, or a path to a scene file")
+    parser.add_argument("--env", default="env1", help="a scene's name or file; by default env1")
     options = parser.parse(argv)
     from support.pictures import draw_demo  # loads matplotlib, which the task itself needs not
     from support.traces import drive
