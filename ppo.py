@@ -20,6 +20,13 @@ MAX_GRADIENT_NORM = 0.5  # longer gradients are scaled down to it, our choice
 STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction")
 
 
+def check_finite(name, *numbers):
+    """Raises FloatingPointError, with that name, unless these tensors hold finite numbers alone."""
+    for tensor in numbers:
+        if not torch.isfinite(tensor).all():
+            raise FloatingPointError(name)
+
+
 @dataclass
 class Episode:
     """What the policy saw, did and got in one whole episode, as arrays over its T steps."""
@@ -59,6 +66,8 @@ class Collector:
         seen = self._observations
         action = self.model.act(seen, self._memory, self.generator)
         _, actions, log_probs, values, self._memory = action
+        numbers = [value for name, value in seen.items() if name != "image"]  # whose are whole
+        check_finite("an observation or an action", actions, *map(torch.as_tensor, numbers))
         self._observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
         scaled = (rewards * self.reward_scale).astype(np.float32)
         self._history.append(seen | {"actions": actions.numpy(), "log_probs": log_probs.numpy(),
@@ -106,7 +115,7 @@ class Collector:
         self.env.load_state(state["env"])
         self.generator.set_state(state["generator"])
         self._observations = dict(state["observations"])
-        self._memory = state["memory"].clone()
+        self._memory = state["memory"].to(self._memory.device, copy=True)
         self._length = state["length"].copy()
         self._history = list(state["history"])
 
@@ -221,11 +230,14 @@ def update(model, optimizer, learning_rate, episodes, config, rng, processes):
             slope, statistics = gradient(model, batch, config.clip)
             weight = lengths[mine].sum() / lengths[chosen].sum()
             slope, statistics = processes.average(slope, statistics, weight)  # alone: the same
+            check_finite("the loss", statistics)
+            check_finite("the gradient", slope)
             norm = slope.norm().item()
             if norm > MAX_GRADIENT_NORM:
                 slope *= MAX_GRADIENT_NORM / norm
             optimizer.step(slope, learning_rate)
             history.append(statistics)
+    check_finite("a weight", *model.parameters())
     statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
     # 1 where the values foretold the returns, 0 where they knew nothing of them.
     returns = errors + np.concatenate([episode.values for episode in episodes])

@@ -32,7 +32,7 @@ import train
 from scenes.test_scenes import box, square_room
 from support.adam import Adam
 from support.processes import OneProcess
-from support.run_folder import NoFolder
+from support.record import Record
 from support.weights import load_run
 
 ROOT = Path(__file__).parent
@@ -510,7 +510,7 @@ def test_a_network_is_drawn_from_its_seed_and_nothing_else_draws_from_torchs_glo
     first, second, other = (model.make_network(seed).value.weight for seed in (1, 1, 2))
     assert torch.equal(first, second) and not torch.equal(first, other)
     config = train.Config(steps=800, robots=8, episodes_per_update=8, random_starts=1.0)
-    train.train(train.Training(config, [ENV1], OneProcess()), NoFolder())
+    train.train(train.Training(config, [ENV1], OneProcess()))
     assert torch.equal(torch.get_rng_state(), before)
 
 
@@ -773,8 +773,8 @@ def test_training_leaves_a_whole_run_folder_and_overwrites_none(runs):
     assert sorted(run.name for run in folder.iterdir()) == ["env1-seed0", "env1-seed0-2"]
     for run, done in zip(sorted(folder.iterdir()), outputs):
         assert sorted(file.name for file in run.iterdir()) == [
-            "config.json", "curves.png", "episodes.csv", "evaluation.json", "model.pt",
-            "summary.json", "updates.csv"]
+            "checkpoint.pt", "config.json", "curves.png", "episodes.csv", "evaluation.json",
+            "model.pt", "summary.json", "updates.csv"]
         summary = json.loads((run / "summary.json").read_text())
         assert json.loads(done.stdout) == summary and str(run.name) in done.stderr
         assert list(summary) == ["env", "seed", "steps", "episodes", "seconds", "stopped_by_rule",
@@ -800,10 +800,10 @@ def test_a_saved_model_is_the_one_that_was_trained(runs):
     assert not torch.equal(first[0].value.weight, fresh["value.weight"])
 
 
-def train_on(config, folder=NoFolder()):
+def train_on(config, **folder):
     """A training in env1, done."""
     training = train.Training(config, [ENV1], OneProcess())
-    train.train(training, folder)
+    train.train(training, **folder)
     return training
 
 
@@ -875,7 +875,7 @@ def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers(
 
 @pytest.mark.parametrize("fixed_budget", [False, True])
 def test_the_rule_stops_at_once_and_in_a_fixed_budget_nothing(fixed_budget, monkeypatch):
-    monkeypatch.setattr(train.Record, "rule_is_met", lambda record: record.steps > 0)
+    monkeypatch.setattr(train, "rule_is_met", lambda record: record.steps > 0)
     config = train.Config(steps=200, robots=8, fixed_budget=fixed_budget)
     training = train_on(config)
     rows = training.record.episodes
@@ -893,14 +893,12 @@ def test_the_deviation_is_limited_to_its_share_and_never_raised():
 
 @pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])
 def test_the_rule_is_more_than_60_of_the_last_100_test_episodes(arrivals, misses, met):
-    record = train.Record()
-    info = {"steps": 8, "target": (0.0, 0.0), "return": 0.0, "length": 5}
-    new = info | {"new": True}
-    training = info | {"new": False, "outcome": navbot_min.ARRIVAL}
-    for outcome in [navbot_min.COLLISION] * misses + [navbot_min.ARRIVAL] * arrivals:
-        record.add(new | {"outcome": outcome})
-        record.add(training)  # does not count
-    assert record.rule_is_met() is met
+    record = Record()
+    for outcome in ["collision"] * misses + ["arrival"] * arrivals:
+        record.add_episode({"kind": "new", "outcome": outcome})
+        record.add_episode({"kind": "training", "outcome": "arrival"})  # does not count
+    assert train.rule_is_met(record) is met
+
 
 def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
     shares, steps = [], []
@@ -912,7 +910,7 @@ def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(mo
     monkeypatch.setattr(train, "update", lambda *_: {})
     monkeypatch.setattr(model.Network, "limit_std", lambda self, share: shares.append(share))
     train_on(train.Config(steps=2000, fixed_budget=True, episodes_per_update=2, minibatches=1),
-             Folder())
+             folder=Folder())
     assert shares == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
     assert min(steps) < 1700 and sum(1700 < s < 2000 for s in steps) >= 2
 
@@ -929,8 +927,8 @@ def bad_call(capsys, main, arguments):
 
 @pytest.mark.parametrize("arguments, words", [
     (["--env", "env9"], ["unknown scene 'env9'", "env1, env2"]),
-    (["--sed", "1"], ["'--sed'", "known are", "--seed"]),
-    (["--robots", "0"], ["--robots is 0", "from 1 up"]),
+    (["--sed", "1"], ["unknown argument '--sed'", "the nearest is --seed"]),
+    (["--robots", "0"], ["--robots is 0", "from 1 to 4,096"]),
     (["--learning-rate", "-0.1"], ["--learning-rate is -0.1", "from 1e-09 to 1.0"]),
     (["--gamma", "nan"], ["--gamma is nan", "from 0.0 to 1.0"]),
     (["--memory", "elephant"], ["'elephant'", "'stacked', 'single', 'none'"]),

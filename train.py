@@ -5,10 +5,14 @@ leaves a run folder: config.json, episodes.csv, updates.csv, model.pt, curves.pn
 summary.json.
 """
 
+from support.interruption import interruption
+
+if __name__ == "__main__":
+    interruption.handle()  # before torch is loaded: Ctrl-C is one line from the beginning
+
 import math
 import sys
 import time
-from collections import deque
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -16,17 +20,18 @@ from tqdm import tqdm
 
 import scenes as scene_files
 from model import BLANKS, MEMORIES, REWARD_SCALE, make_network
-from navbot_min import ARRIVAL, OUTCOMES, NavVecEnv
+from navbot_min import OUTCOMES, NavVecEnv
 from ppo import Collector, update
 from sim import SceneError
 from support.adam import Adam
+from support.checkpoints import Keeper, NoKeeper
 from support.command_line import CommandLine, option
 from support.processes import join_processes
-from support.run_folder import NoFolder, RunFolder, new_folder
-from support.run_options import check_run
+from support.record import Record
+from support.run_folder import NoFolder, RunFolder
+from support.run_options import faults_as_one_line, open_run
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
-WINDOW = 100  # test episodes that the success rate is taken over, paper IV-B
 FINAL_STD = 0.2  # of the initial standard deviations, when a run uses all its steps, our choice
 ANNEALING = 0.15  # share of the steps, the last ones, in which they shrink to it, our choice
 
@@ -34,84 +39,43 @@ ANNEALING = 0.15  # share of the steps, the last ones, in which they shrink to i
 @dataclass
 class Config:
     """A training run. The command line is made from these fields."""
-    env: str = option("env1", "a scene's name, or a path to a scene file")
-    seed: int = option(0, "of every random number in the run", 0, 2 ** 63 - 1)
-    steps: int = option(500_000, "limit on environment steps, new targets' included", 1)
+    env: str = option("env1", "the room: a scene's name, or a path to a scene file")
+    seed: int = option(0, "what all random numbers come from: another one, another run", 0)
+    steps: int = option(500_000, "at most so many steps, all robots' together", 1, 10 ** 9)
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
-    robots: int = option(64, "R, robots that drive side by side", 1)
+    robots: int = option(64, "R, the robots that drive side by side", 1, 4096)
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
     mirrored: float = option(0.5, "share of the robots that drive in the mirrored room", 0.0, 1.0)
-    memory: str = option("stacked", "the network's memory", choices=MEMORIES)
-    without: str = option("", "an input that the network has to do without", choices=BLANKS)
-    episodes_per_update: int = option(64, "N of Algorithm 1", 1)
-    workers: int = option(0, "processes that share the robots; 0: one a core, 4 at most", 0)
-    epochs: int = option(2, "K of Algorithm 1", 1)
-    minibatches: int = option(4, "an epoch's minibatches of whole episodes", 1)
-    learning_rate: float = option(1e-3, "of Adam", 1e-9, 1.0)
-    gamma: float = option(0.99, "discount of a step", 0.0, 1.0)
+    memory: str = option("stacked", "the network's memory: how many LSTMs", choices=MEMORIES)
+    without: str = option("", "an input that is blanked; by default none", choices=BLANKS)
+    episodes_per_update: int = option(64, "N of Algorithm 1: an update's episodes", 1, 4096)
+    workers: int = option(0, "processes; by default 0: one for each core, 4 at most", 0, 64)
+    epochs: int = option(2, "K of Algorithm 1: how often it learns from them", 1, 1000)
+    minibatches: int = option(4, "parts of an epoch, each of whole episodes", 1, 4096)
+    learning_rate: float = option(1e-3, "of Adam at the start; it shrinks to 0", 1e-9, 1.0)
+    gamma: float = option(0.99, "discount of the rewards to come, a step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
-    clip: float = option(0.2, "epsilon of Eq. (3)", 1e-9, 1.0)
+    clip: float = option(0.2, "epsilon of Eq. (3): how far an update may go", 1e-9, 1.0)
     device: str = option("cpu", "where the network runs", choices=("cpu", "cuda"))
-    evaluation_episodes: int = option(1000, "frozen episodes to targets of each kind", 1)
-    out: str = option("", "run folder, must not exist; by default runs/<env>-seed<k>")
+    evaluation_episodes: int = option(1000, "after training, to targets of each kind", 1, 10 ** 5)
+    out: str = option("", "the run's folder, a new one; by default runs/<env>-seed<k>")
+    resume: str = option("", "a run's folder: go on with that run; by default a new one begins")
     json: bool = option(False, "print the summary alone, as JSON, on standard output")
 
 
-class Record:
-    """What happened so far: every episode, and the success rates that Algorithm 1 looks at."""
-
-    def __init__(self):
-        self.steps = 0
-        self.episodes = []  # rows of episodes.csv
-        self._last = {"training": deque(maxlen=WINDOW), "new": deque(maxlen=WINDOW)}
-
-    def add(self, info):
-        """Adds an episode; returns its row of episodes.csv."""
-        x, y = info["target"]
-        row = {"steps": info["steps"], "target_x": x, "target_y": y,
-               "kind": "new" if info["new"] else "training",
-               "outcome": OUTCOMES[info["outcome"]],
-               "return": info["return"], "length": info["length"]}
-        self._append(row)
-        return row
-
-    def _append(self, row):
-        self.episodes.append(row)
-        self._last[row["kind"]].append(row["outcome"] == OUTCOMES[ARRIVAL])
-
-    def success(self, kind):
-        """Success rate of the last 100 episodes of that kind; None before the first."""
-        last = self._last[kind]
-        return sum(last) / len(last) if last else None
-
-    def rates(self):
-        """Both success rates, as the progress bar shows them."""
-        return {f"{kind} targets reached": f"{self.success(kind):.0%}"
-                for kind, last in self._last.items() if last}
-
-    def rule_is_met(self):
-        """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
-        return len(self._last["new"]) == WINDOW and self.success("new") > SUCCESS_RATE
-
-    def state(self):
-        """All that was recorded."""
-        return {"steps": self.steps, "episodes": [dict(row) for row in self.episodes]}
-
-    def load_state(self, state):
-        """Goes on from a state."""
-        self.__init__()
-        self.steps = state["steps"]
-        for row in state["episodes"]:
-            self._append(dict(row))
+def rule_is_met(record):
+    """The stop of Algorithm 1: the last 100 test episodes succeed at a rate above r."""
+    return record.is_full("new") and record.success("new") > SUCCESS_RATE
 
 
 class Training:
     """All that changes while a policy learns, in one place: network, optimiser, collector, record,
     buffer and random generators. `train` only steps it."""
 
-    def __init__(self, config, scenes, processes):
+    def __init__(self, config, scenes, processes, states=None):
         """scenes: a list of Scenes. processes: support.processes, which share robots and episodes:
-        all hold the same weights and record, each has robots and random numbers of its own."""
+        all hold the same weights and record, each has robots and random numbers of its own.
+        states: of all processes, by their rank, where a training goes on from a checkpoint."""
         self.config = config
         self.processes = processes
         self.model = make_network(config.seed, config.memory, config.without).to(config.device)
@@ -125,6 +89,8 @@ class Training:
         self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
         self.record = Record()
         self.buffer = []  # episodes to training targets since the last update
+        if states is not None:
+            self.load_state(states[processes.rank])
 
     def rooms(self, scenes):
         """A room for each robot. The last robots drive in mirrored rooms, without new targets:
@@ -144,32 +110,41 @@ class Training:
 
     def stopped_by_rule(self):
         """Whether the paper's rule stops the run."""
-        return self.record.rule_is_met() and not self.config.fixed_budget
+        return rule_is_met(self.record) and not self.config.fixed_budget
 
     def collect(self):
         """Drives all robots until the buffer holds N episodes to training targets, lines 3 to 5 of
-        Algorithm 1, or the steps are used up. Returns the infos of the episodes that ended, in all
-        processes, in their order."""
-        ended = []  # here: an episode, or None if it is not learnt from, and its info
+        Algorithm 1, or the steps are used up. Returns the rows of episodes.csv of the episodes that
+        ended, in all processes, in their order. Raises FloatingPointError."""
+        ended = []  # here: an episode, or None if it is not learnt from, and its row
         stored = 0  # in all processes
         while stored < self.config.episodes_per_update and self.record.steps < self.config.steps:
             left = math.ceil((self.config.steps - self.record.steps) / self.config.robots)
-            for _ in range(min(self.processes.steps_alone, left)):
-                self.record.steps += self.config.robots
-                ended += [self._ended(*pair) for pair in self.collector.step()]
-            # Of one process alone: the same number, and all that it has.
-            stored = self.processes.count_all(sum(not info["new"] for _, info in ended))
+            try:
+                for _ in range(min(self.processes.steps_alone, left)):
+                    self.record.steps += self.config.robots
+                    ended += [self._ended(*pair) for pair in self.collector.step()]
+                mine = sum(row["kind"] == "training" for _, row in ended)
+            except FloatingPointError:
+                mine = math.nan  # so all processes get to know
+            stored = self.processes.count_all(mine)
+        if math.isnan(stored):
+            raise FloatingPointError("an observation or an action")
         everyone = [pair for pairs in self.processes.gather(ended) for pair in pairs]
         everyone.sort(key=lambda pair: pair[1]["steps"])
         self.buffer = [episode for episode, _ in everyone if episode is not None]
-        return [info for _, info in everyone]
+        return [row for _, row in everyone]
 
     def _ended(self, episode, info):
-        """An episode that ended now. What happens on the way to a new target is never learnt from.
-        A target of the mirrored room is named by its place in the true one."""
-        info["steps"] = self.record.steps
-        info["target"] = self.scenes[info["scene"]].targets[info["target_index"]].tolist()
-        return (None if info["new"] else episode), info
+        """An episode that ended now, and its row of episodes.csv. What happens on the way to a new
+        target is never learnt from. A target of the mirrored room is named by its place in the true
+        one."""
+        x, y = self.scenes[info["scene"]].targets[info["target_index"]].tolist()
+        row = {"steps": self.record.steps, "target_x": x, "target_y": y,
+               "kind": "new" if info["new"] else "training",
+               "outcome": OUTCOMES[info["outcome"]],
+               "return": info["return"], "length": info["length"]}
+        return (None if info["new"] else episode), row
 
     def learn(self):
         """One update by the episodes in the buffer, which it empties. Returns its statistics.
@@ -200,7 +175,7 @@ class Training:
         self.record.load_state(state["record"])
 
 
-def train(training, folder):
+def train(training, folder=NoFolder(), keeper=NoKeeper()):
     """Algorithm 1, in our words; `training` holds what changes, `folder` gets what happened.
 
      1  begin with random weights and an empty buffer
@@ -215,56 +190,51 @@ def train(training, folder):
     10          drive to the episode's end, and record only whether the robot arrived
     11          if more than r of the last 100 of these arrived: stop
 
-    Here R robots do so side by side, a step at a time. Returns how long it took [s].
+    Here R robots do so side by side, a step at a time. keeper: saves the training between updates,
+    from time to time and when it is interrupted, which ends it early.
     """
     record = training.record
-    begin = time.perf_counter()
-    bar = tqdm(total=training.config.steps, unit=" steps", mininterval=0.5,
-               disable=training.processes.rank > 0)
-    try:
-        while not training.is_over():  # line 2
-            for info in training.collect():  # lines 3, 4, 5
-                folder.add_row("episodes.csv", record.add(info))  # lines 9, 10
+    begin = time.perf_counter() - record.seconds
+    tqdm.monitor_interval = 0  # no thread of the bar's own, for this process may be forked
+    with tqdm(initial=record.steps, total=training.config.steps, unit=" steps", mininterval=0.5,
+              disable=training.processes.rank > 0) as bar:
+        while not training.is_over() and keeper.go_on(training):  # line 2
+            for row in training.collect():  # lines 3, 4, 5
+                record.add_episode(row)  # lines 9, 10
+                folder.add_row("episodes.csv", row)
                 if training.stopped_by_rule():  # line 11
-                    record.steps = info["steps"]  # what was driven after the stop does not count
+                    record.steps = row["steps"]  # what was driven after the stop does not count
                     break
+            record.seconds = time.perf_counter() - begin
             bar.set_postfix(record.rates(), refresh=False)
             bar.update(record.steps - bar.n)
             if not training.is_over():  # line 6
-                row = {"steps": record.steps} | training.learn()  # lines 7, 8
-                row["steps_per_second"] = round(record.steps / (time.perf_counter() - begin), 1)
-                folder.add_row("updates.csv", row)
-    except KeyboardInterrupt:
-        bar.write("interrupted: training ends here, and its policy is evaluated", file=sys.stderr)
-    bar.close()
-    return time.perf_counter() - begin
+                folder.add_row("updates.csv", record.add_update(training.learn()))  # lines 7, 8
+        keeper.save(training)
 
 
-def train_along(config, scenes, processes):
+def train_along(config, scenes, states, processes):
     """What every process does but the first, which writes for all."""
-    train(Training(config, scenes, processes), NoFolder())
+    train(Training(config, scenes, processes, states), keeper=Keeper(NoFolder(), scenes))
 
 
 def main(argv=None):
-    """The command line: train, save, evaluate the frozen policy, summarise."""
+    """The command line: train or go on, evaluate the frozen policy, summarise."""
+    interruption.handle()
     parser = CommandLine("Train a robot to navigate from its camera (Algorithm 1).")
     config = parser.read(Config, argv)
-    check_run(config, parser)
-    try:
-        scenes = [scene_files.load(config.env)]
-        processes = join_processes(config, train_along, scenes)
-        if processes.rank > 0:
-            return train_along(config, scenes, processes)
-        training = Training(config, scenes, processes)
-        path = config.out or new_folder(f"runs/{scenes[0].name}-seed{config.seed}")
-        folder = RunFolder(path, asdict(config))
-    except (SceneError, OSError) as error:
-        parser.error(error)
-    print(f"run folder: {folder.path}", file=sys.stderr if config.json else sys.stdout)
-    seconds = train(training, folder)
-    processes.close()
-    from evaluation.after_training import finish  # the lesson can do without, up to here
-    finish(folder, training, scenes, seconds, SUCCESS_RATE)
+    config, scenes, states = open_run(config, parser, Training)
+    processes = join_processes(train_along, config, scenes, states)
+    training = Training(config, scenes, processes, states)
+    with faults_as_one_line(config, training.record):
+        folder = RunFolder(config, training.record)
+        print(f"run folder: {folder.path}", file=sys.stderr if config.json else sys.stdout,
+              flush=True)
+        train(training, folder, Keeper(folder, scenes))
+        processes.close()
+        interruption.leave_if_asked()
+        from evaluation.after_training import finish  # the lesson can do without, up to here
+        finish(folder, training, scenes, SUCCESS_RATE)
 
 
 if __name__ == "__main__":

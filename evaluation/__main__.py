@@ -6,6 +6,11 @@ It prints what it measures, and writes it as `evaluation.json`, with the driven 
 run's folder, else into a folder of `evaluations`.
 """
 
+from support.interruption import interruption
+
+if __name__ == "__main__":
+    interruption.handle()  # before torch is loaded: Ctrl-C is one line from the beginning
+
 import json
 import sys
 from dataclasses import dataclass, replace
@@ -19,11 +24,9 @@ from evaluation.planners import PLANNERS
 from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS, protocol_scenes
 from sim import SceneError
 from support.command_line import CommandLine, option
-from support.cores import available_cores, one_thread
-from support.film import write_film
-from support.pictures import draw_floor, draw_trajectories
-from support.run_folder import write
-from support.weights import RunError, load_run
+from support.cores import ProcessLost, available_cores, one_thread
+from support.run_folder import RunError, WriteError, write
+from support.weights import load_run
 
 MOST_DRAWN = 4  # scenes of a run whose paths are drawn
 
@@ -31,14 +34,21 @@ MOST_DRAWN = 4  # scenes of a run whose paths are drawn
 @dataclass
 class Options:
     """An evaluation."""
-    planner: str = option("", "a planner instead of a run", choices=["", *PLANNERS])
-    env: str = option("", "carry the policy into another room: a scene's name or path")
+    run: str = option("", "whose policy drives: a run's folder such as runs/env1-seed0, or a file "
+                      "of weights such as pretrained/env1.pt; by default none, then --planner says "
+                      "who drives", positional=True)
+    planner: str = option("", "a planner drives, not a run's policy; by default none",
+                          choices=["", *PLANNERS])
+    env: str = option("", "another room to drive in: a scene's name, or a path to a scene file; by "
+                      "default the run's own, for a planner env1")
     protocol: str = option("start", "where episodes start and lead", choices=list(PROTOCOLS))
-    hide: str = option("", "what the policy is not shown of its target: its place, its cube, both",
-                       choices=HIDDEN)
-    episodes: int = option(1000, "episodes to targets of each kind; by `anywhere` in all", 1)
-    seed: int = option(0, "of every random number", 0, 2 ** 63 - 1)
-    workers: int = option(0, "processes that share the work; 0 for the cores it may use", 0)
+    hide: str = option("", "what the policy is not shown of its target: its place, its cube or "
+                       "both; by default it is shown all", choices=HIDDEN)
+    episodes: int = option(1000, "episodes to targets of each kind, with anywhere in all", 1,
+                           10 ** 5)
+    seed: int = option(0, "what all random numbers come from: another one, other episodes", 0)
+    workers: int = option(0, "processes that share the episodes; by default 0: one for each core",
+                          0, 64)
     json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
 
 
@@ -94,6 +104,8 @@ def heading(examined, options):
 
 def draw(examined, traces, options):
     """Writes the pictures of an evaluation, of its first scenes where there are many."""
+    from support.pictures import draw_floor, draw_trajectories  # here and below: it takes a second
+
     for scene in examined.scenes[:MOST_DRAWN]:
         here = [trace for trace in traces if trace.scene.boxes == scene.boxes]
         figures = {"trajectories": draw_trajectories(scene, here)}
@@ -107,6 +119,8 @@ def draw(examined, traces, options):
 
 def film(examined, options):
     """Writes a film of one more episode by the same protocol, in the first scene."""
+    from support.film import write_film
+
     scene = examined.scenes[0]
     trace = film_episode(examined.driver, scene, options.protocol, options.seed, options.hide)
     trace = replace(trace, scene=scene)  # in which a validation target is no new target
@@ -116,12 +130,8 @@ def film(examined, options):
 def read_command_line(argv):
     """The run, a path or None, the Options, and the parser, for later errors."""
     parser = CommandLine("Evaluate a frozen policy, or a planner, on fresh episodes.")
-    parser.usage = "python -m evaluation [RUN] [options]"
-    argv = sys.argv[1:] if argv is None else list(argv)
-    run = None
-    if argv and not argv[0].startswith("-"):
-        run = Path(argv.pop(0))
     options = parser.read(Options, argv)
+    run = Path(options.run) if options.run else None
     if (run is None) == (options.planner == ""):
         parser.error("give either a run (a folder or a .pt file) or --planner")
     if options.hide and options.planner:
@@ -132,9 +142,11 @@ def read_command_line(argv):
 
 def main(argv=None):
     """The command line: evaluate, print, write the evaluation, its pictures and its film."""
+    interruption.handle("interrupted: the files that are written are whole")
     run, options, parser = read_command_line(argv)
     try:
         examined = prepare(run, options)
+        parser.must_write_to(examined.folder)
         examined.folder.mkdir(parents=True, exist_ok=True)
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
@@ -149,10 +161,8 @@ def main(argv=None):
         print(text if options.json else f"{heading(examined, options)}\n{table(result)}")
         draw(examined, traces, options)
         film(examined, options)
-    except KeyboardInterrupt:
-        sys.exit("interrupted: the files that are written are whole")
-    except OSError as error:
-        parser.error(f"{error.filename} cannot be written: {error.strerror}")
+    except (WriteError, ProcessLost) as error:
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

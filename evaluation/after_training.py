@@ -11,35 +11,33 @@ from support.pictures import draw_curves
 from support.weights import save_model
 
 
-def finish(folder, training, scenes, seconds, stop_rate):
+def finish(folder, training, scenes, stop_rate):
     """Saves the run, evaluates its policy and writes the summary.
 
-    training: what `train.train` has brought to its end. seconds: how long that took.
+    training: what `train.train` has brought to its end.
     """
     config = training.config
     model = training.model
     episodes = training.record.episodes
     summary = {"env": scenes[0].name, "seed": config.seed, "steps": training.record.steps,
-               "episodes": len(episodes), "seconds": round(seconds, 2),
+               "episodes": len(episodes), "seconds": round(training.record.seconds, 2),
                "stopped_by_rule": training.stopped_by_rule(),
                "rolling_new_success": training.record.success("new"), "frozen": None}
     save_model(folder.path / "model.pt", model, scenes)
     curves = draw_curves(episodes, summary["env"], stop_rate)
-    folder.write("curves.png", lambda path: curves.savefig(path, format="png", dpi=110))
+    folder.write("curves.png", lambda file: curves.savefig(file, format="png", dpi=110))
     folder.write("summary.json", json.dumps(summary, indent=2))
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
-    try:
-        # On this machine's cores: the other processes of a training may be on others, or on GPUs.
-        workers = min(config.workers, len(available_cores()))
-        summary["frozen"] = evaluate_frozen(model.cpu(), scenes, config.evaluation_episodes,
-                                            config.seed, workers)
-    except KeyboardInterrupt:
-        sys.exit("interrupted: the run is saved without its evaluation")
+    # On this machine's cores: the other processes of a training may be on others, or on GPUs.
+    workers = min(config.workers, len(available_cores()))
+    summary["frozen"] = evaluate_frozen(model.cpu(), scenes, config.evaluation_episodes,
+                                        config.seed, workers)
     folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
     folder.write("summary.json", json.dumps(summary, indent=2))
     print(report(summary), file=sys.stderr if config.json else sys.stdout)
     if config.json:
         print(json.dumps(summary, indent=2))
+    folder.close()
 
 
 def evaluate_frozen(model, scenes, episodes, seed, workers):

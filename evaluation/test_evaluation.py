@@ -367,7 +367,7 @@ def bad_call(capsys, arguments):
 
 
 @pytest.mark.parametrize("arguments, words", [
-    (["--planner", "oracle", "--episodes", "0"], "--episodes is 0, it must be from 1 up"),
+    (["--planner", "oracle", "--episodes", "0"], "--episodes is 0, it must be a whole number"),
     (["--planner", "teleport"], "'teleport'"), (["--planner", "oracle", "--env", "env9"], "env9"),
     ([], "run"), (["runs/x", "--planner", "bug"], "either"),
     (["--planner", "bug", "--protocol", "mine"], "'mine'"),

@@ -20,6 +20,7 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ from support.command_line import CommandLine, option
 from support.cores import available_cores, one_thread
 from support.pictures import draw_curves, read_table
 from support.processes import OneProcess, start_workers
-from support.run_folder import write
+from support.run_folder import WriteError, write
 from support.run_options import default_workers
 from train import SUCCESS_RATE, Config, Training
 
@@ -56,10 +57,11 @@ COMMANDS = {"the demo": ["navbot_min.py"], "training": ["train.py"],
 @dataclass
 class Options:
     """What to measure."""
-    cores: int = option(0, "measure on so many cores alone; 0 for one core, then for all", 0)
-    seconds: float = option(0.2, "length of a timing", 0.001)
-    updates: int = option(6, "of a timing of workers", 1)
-    peers: bool = option(False, "measure the peers too, where they are installed")
+    cores: int = option(0, "measure on so many cores alone; by default 0: on one core, then on all",
+                        0, 4096)
+    seconds: float = option(0.2, "[s] length of a timing", 0.001, 60.0)
+    updates: int = option(6, "how many a timing of workers lasts", 1, 1000)
+    peers: bool = option(False, "measure other programs too, where they are installed")
     out: str = option("benchmark.json", "file for the figures; the plot goes beside it, as .png")
     json: bool = option(False, "print the figures alone, as JSON, on standard output")
 
@@ -177,8 +179,8 @@ def make_updates(training, count):
     before = training.record.steps
     learnt = 0
     for _ in range(count):
-        for info in training.collect():
-            training.record.add(info)
+        for row in training.collect():
+            training.record.add_episode(row)
         learnt += sum(len(episode) for episode in training.buffer)
         training.learn()
     return training.record.steps - before, learnt
@@ -189,7 +191,7 @@ def make_training(workers, scene):
     config = Config(workers=workers)
     if workers == 1:
         return Training(config, [scene], OneProcess())
-    return Training(config, [scene], start_workers(workers, train_along, config, [scene]))
+    return Training(config, [scene], start_workers(workers, train_along, config, [scene], None))
 
 
 def train_along(config, scenes, workers):
@@ -453,8 +455,8 @@ def where_time_goes(scene, workers):
     start = time.perf_counter()
     while not training.is_over():
         began = time.perf_counter()
-        for info in training.collect():
-            training.record.add(info)
+        for row in training.collect():
+            training.record.add_episode(row)
         collecting += time.perf_counter() - began
         if not training.is_over():
             training.learn()
@@ -569,14 +571,14 @@ def report(figures):
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Measure how fast each stage is.")
-    parser.prog = "python -m experiments.benchmark"
     options = parser.read(Options, argv)
     cores = available_cores()
     if options.cores > len(cores):
         parser.error(f"--cores is {options.cores}, it must be at most {len(cores)}")
     path = Path(options.out)
-    if not path.parent.is_dir():
-        parser.error(f"--out is '{path}', it must be a file in a folder that exists")
+    if path.is_dir() or not path.parent.is_dir() or path.suffix == ".png":
+        parser.error(f"--out is '{path}', it must be a file in a folder that exists, not the plot")
+    parser.must_write_to(path.parent)
     messages = sys.stderr if options.json else sys.stdout
     one_thread()  # trainings come first: they fork, as train.py does
     raced = {"workers": measure_workers(cores, options.updates),
@@ -592,9 +594,9 @@ def main(argv=None):
     text = json.dumps(figures, indent=2)
     try:
         write(path, text)
-        draw_benchmark(figures).savefig(path.with_suffix(".png"), dpi=110)
-    except OSError as error:
-        parser.error(f"--out '{path}' cannot be written: {error.strerror}")
+        write(path.with_suffix(".png"), partial(draw_benchmark(figures).savefig, dpi=110))
+    except WriteError as error:
+        parser.error(error)
     if options.json:
         print(text)
 

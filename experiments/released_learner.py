@@ -35,7 +35,8 @@ from support.pictures import read_table
 from support.processes import OneProcess
 from support.run_folder import RunFolder
 from support.weights import save_model
-from train import WINDOW, Config, Training, train
+from support.record import WINDOW
+from train import Config, Training, train
 
 RESULT = Path(__file__).parent.parent / "results" / "released_learner.csv"
 RUNS = Path("runs") / "released-learner"
@@ -313,14 +314,16 @@ def run(name, seed, steps):
     config = config_of(VARIANTS[name], seed, steps)
     room = scenes.load("env1")
     training = VariedTraining(VARIANTS[name], config, [room])
-    folder = RunFolder(RUNS / f"{name}-seed{seed}", asdict(config) | {"variant": name})
-    seconds = train(training, folder)
+    config.out = str(RUNS / f"{name}-seed{seed}")
+    folder = RunFolder(config, training.record)
+    train(training, folder)
     save_model(folder.path / "model.pt", training.model, [room])
     frozen = evaluate_varied(training, room, seed)
     peak, peak_steps, last = rolling(folder.path / "episodes.csv")
     row = {"variant": name, "seed": seed, "steps": training.record.steps,
-           "seconds": round(seconds, 1), "peak_success": peak, "peak_steps": peak_steps,
-           "last_success": last, "frozen_new": frozen["new"]["success"],
+           "seconds": round(training.record.seconds, 1),
+           "peak_success": peak, "peak_steps": peak_steps, "last_success": last,
+           "frozen_new": frozen["new"]["success"],
            "frozen_training": frozen["training"]["success"]}
     folder.write("row.json", json.dumps(row, indent=2))
 
@@ -348,10 +351,10 @@ def rolling(path):
 @dataclass
 class Options:
     """What to train."""
-    variant: str = option("", "this one alone", choices=["", *VARIANTS])
-    seed: int = option(-1, "this one alone, with --variant", -1)
-    steps: int = option(STEPS, "of each run", 1)
-    jobs: int = option(2, "runs at a time, a core each", 1)
+    variant: str = option("", "train this variant alone; by default all", choices=["", *VARIANTS])
+    seed: int = option(-1, "with --variant, train this seed alone; by default all", -1)
+    steps: int = option(STEPS, "steps of each run", 1, 10 ** 9)
+    jobs: int = option(2, "so many runs at a time, a core each", 1, 64)
 
 
 def call(name, seed, steps):
@@ -370,6 +373,8 @@ def main(argv=None):
     """The command line."""
     parser = CommandLine("Train the steps from our learner towards the released one.")
     options = parser.read(Options, argv)
+    for folder in (RUNS, RESULT.parent):
+        parser.must_write_to(folder)
     if options.seed >= 0:
         if not options.variant:
             parser.error("--seed is given without --variant, it must name one of "

@@ -3,7 +3,7 @@
 `python -m experiments.results` trains each room, way and seed for a fixed budget of steps, some
 runs at a time with a core each, examines the frozen last policies, writes `results/*.csv`, and
 then the figures and the tables of the pages. What is there already is not made again:
-interrupted, it goes on with the next run.
+interrupted, it goes on where it was.
 """
 
 import csv
@@ -25,6 +25,7 @@ from evaluation.measures import summarise
 from evaluation.planners import PLANNERS
 from experiments import figures, tables
 from support.command_line import CommandLine, option
+from support.interruption import interruption
 from support.pictures import read_table
 
 ROOT = Path(__file__).parent.parent
@@ -61,9 +62,9 @@ OUTCOMES = ("success", "low", "high", "collision", "timeout")  # columns of a ra
 @dataclass
 class Options:
     """What to make."""
-    ablations: bool = option(False, "train and examine the ablations too, seeds 0 to 2")
+    ablations: bool = option(False, "train and examine the ablations too, with seeds 0 to 2")
     planners: bool = option(False, "examine the planners alone, train nothing")
-    jobs: int = option(2, "runs at a time, a core each", 1)
+    jobs: int = option(2, "so many runs at a time, a core each", 1, 64)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ class Run:
 
     def make(self):
         """Trains and examines, each unless it is done."""
-        if not self.is_trained:
+        if not self.is_trained and (self.folder / "config.json").exists():
+            call("train.py", "--resume", self.folder)  # a training that was cut short
+        elif not self.is_trained:
             shutil.rmtree(self.folder, ignore_errors=True)
             options = (WAYS | ABLATIONS)[self.way]
             call("train.py", "--env", self.env, "--seed", self.seed, "--fixed-budget",
@@ -119,12 +122,18 @@ class Run:
 
 
 def call(*arguments):
-    """Runs python in a session of its own, so that Ctrl-C does not cut it short.
+    """Runs python in a session of its own: a Ctrl-C comes to it through this program alone.
 
     Raises CalledProcessError.
     """
-    subprocess.run([sys.executable, *map(str, arguments)], cwd=ROOT, check=True,
-                   capture_output=True, start_new_session=True)
+    command = [sys.executable, *map(str, arguments)]
+    program = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.PIPE, start_new_session=True)
+    interruption.programs.add(program)
+    _, said = program.communicate()
+    interruption.programs.discard(program)
+    if program.returncode:
+        raise subprocess.CalledProcessError(program.returncode, command, stderr=said)
 
 
 def rounded(result, keys, prefix=""):
@@ -233,8 +242,8 @@ def expected(runs, jobs):
 
 
 def make_runs(runs, jobs):
-    """Makes those runs, so many at a time. The first that fails, or Ctrl-C, ends it when the runs
-    under way are finished."""
+    """Makes those runs, so many at a time. The first that fails ends it when the runs under way are
+    finished."""
     has_failed = threading.Event()
 
     def make(run):
@@ -263,8 +272,10 @@ def examine_planners():
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Make every table and figure of the results.")
-    parser.prog = "python -m experiments.results"
     options = parser.read(Options, argv)
+    interruption.handle("interrupted: the runs under way are saved; the same command goes on")
+    for folder in (RUNS, RESULTS):
+        parser.must_write_to(folder)
     runs = [Run(env, way, seed) for way in WAYS for seed in SEEDS for env in BUDGET]
     ablations = []
     if options.ablations:
@@ -279,8 +290,6 @@ def main(argv=None):
             write_tables(runs, ablations)
             figures.main([])
         tables.main([])
-    except KeyboardInterrupt:
-        parser.error("interrupted: the runs under way are finished, no other is begun")
     except subprocess.CalledProcessError as error:
         said = error.stderr.decode().strip() or f"exit code {error.returncode}"
         parser.error(f"'{' '.join(error.cmd[1:])}' failed: {said.splitlines()[-1]}")

@@ -314,6 +314,21 @@ def pauses(figures):
     return markdown(["milliseconds: median / slowest", *ways], table)
 
 
+def long_runs(figures):
+    """Memory and speed of long runs by tenths. figures: long-runs.json."""
+    names = {"environment": "environment, 32 robots at random", "training": "training, one process"}
+    table = []
+    for run, name in names.items():
+        tenths = figures[run]["tenths"]
+        rates = [tenth["steps_per_second"] for tenth in tenths]
+        table.append([f"{name}, {tenths[-1]['steps']:,} steps",
+                      *(f"{tenths[k]['memory_mb']:.0f}" for k in (0, 1, 4, 9)),
+                      f"{max(tenth['highest_mb'] for tenth in tenths):.0f}",
+                      f"{min(rates):,.0f} to {max(rates):,.0f}"])
+    return markdown(["run", "memory [MB]: first tenth", "second", "fifth", "last", "highest",
+                     "steps a second, slowest and fastest tenth"], table)
+
+
 def amdahl(ratio, measured, cores):
     """How many times as fast so many cores are as one, by Amdahl's law, where as many as were
     measured are `ratio` times as fast."""
@@ -405,6 +420,7 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "benchmark": (benchmark, ["benchmark.json"]),
     "workers": (workers, ["benchmark.json"]),
     "pauses": (pauses, ["benchmark.json"]),
+    "long-runs": (long_runs, ["long-runs.json"]),
     "programs": (programs, ["benchmark.json"]),
     "stops": (stops, [f"env1-seed{seed}.json" for seed in range(5)]),
     "peaks": (peaks, ["curves.csv"]),
@@ -451,7 +467,6 @@ def pages():
 def main(argv=None):
     """The command line: fill every page."""
     parser = CommandLine("Write the tables of results/ into README.md and docs/.")
-    parser.prog = "python -m experiments.tables"
     parser.parse(argv)
     problems = []
     for page in pages():

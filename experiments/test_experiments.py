@@ -10,6 +10,7 @@ import io
 import json
 import multiprocessing
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -221,7 +222,7 @@ def fake_call(calls, fail_at=None):
     raises at the one with that number."""
     def call(*arguments):
         if len(calls) == fail_at:
-            raise KeyboardInterrupt
+            raise InterruptedError
         calls.append([str(argument) for argument in arguments])
         if arguments[0] == "train.py":
             folder = arguments[arguments.index("--out") + 1]
@@ -240,17 +241,39 @@ def fake_call(calls, fail_at=None):
 def test_interrupted_results_go_on_where_they_were_and_make_nothing_twice(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "RUNS", tmp_path)
     run = results.Run("env1", "varied", 3)
-    run.folder.mkdir()  # of a training that was cut short
+    run.folder.mkdir()  # of a training that was cut before it began
     (run.folder / "summary.json").write_text('{"frozen": null}')
     calls = []
     monkeypatch.setattr(results, "call", fake_call(calls, fail_at=3))
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(InterruptedError):
         run.make()
     monkeypatch.setattr(results, "call", fake_call(calls))
     run.make()
     assert len(calls) == 6 and len({tuple(call) for call in calls}) == 6
     run.make()
     assert len(calls) == 6
+
+
+def test_results_pass_a_signal_on_and_say_how_to_go_on(tmp_path):
+    waits = tmp_path / "waits.py"  # in the place of a training: it saves when it is asked to end
+    waits.write_text("import pathlib, signal, sys, time\n"
+                     "def save(*_):\n    pathlib.Path('saved').touch()\n    sys.exit(130)\n"
+                     "signal.signal(signal.SIGINT, save)\n"
+                     "pathlib.Path('ready').touch()\ntime.sleep(60)\n")
+    program = ("from experiments import results\nfrom pathlib import Path\n"
+               f"results.ROOT = results.RUNS = Path({str(tmp_path)!r})\n"
+               "results.Run.make = lambda run: results.call('waits.py')\n"
+               "results.main(['--jobs', '1'])")
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.PIPE, text=True)
+    for _ in range(3000):
+        if (tmp_path / "ready").exists():
+            break
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130 and (tmp_path / "saved").exists()
+    assert said.strip() == ("interrupted: the runs under way are saved; the same command goes on")
 
 
 def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
@@ -470,8 +493,12 @@ def test_the_benchmark_writes_its_figures_and_their_plot(tmp_path, monkeypatch, 
 @pytest.mark.parametrize("main, arguments, words", [
     (benchmark.main, ["--cores", "4096"], "--cores is 4096, it must be at most"),
     (benchmark.main, ["--out", "none/here.json"], "--out is"),
-    (results.main, ["--jobs", "0"], "--jobs is 0, it must be from 1 up"),
+    (benchmark.main, ["--out", "here.png"], "--out is 'here.png', it must be"),
+    (benchmark.main, ["--seconds", "inf"], "--seconds is inf, it must be a number from 0.001"),
+    (benchmark.main, ["--updates", "9" * 30], "from 1 to 1,000"),
+    (results.main, ["--jobs", "0"], "--jobs is 0, it must be a whole number from 1 to 64"),
     (results.main, ["--draw"], "unknown argument '--draw'"),
+    (results.main, ["--job", "3"], "the nearest is --jobs"),
     (tables.main, ["--check"], "unknown argument '--check'")])
 def test_bad_input_is_one_line(main, arguments, words, capsys):
     with pytest.raises(SystemExit) as stop:

@@ -43,6 +43,6 @@ class Adam:
 
     def load_state(self, state):
         """Goes on from a state."""
-        self.mean = state["mean"].clone()
-        self.square = state["square"].clone()
+        self.mean.copy_(state["mean"])
+        self.square.copy_(state["square"])
         self.steps = state["steps"]

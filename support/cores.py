@@ -4,11 +4,18 @@ import ctypes
 import itertools
 import multiprocessing
 import os
-import signal
 import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+from support.interruption import leave_signals_to_others
 
 UPDATES_PER_TRIM = 8  # from one time that free memory goes back to the system to the next
+
+
+class ProcessLost(RuntimeError):
+    """A process that shares work with others has ended before its time."""
 
 
 def available_cores():
@@ -22,8 +29,9 @@ def one_thread():
     """To be called by a program before it computes anything: torch keeps to one thread.
 
     Its own threads spin while they wait for each other, and where something else keeps a core busy
-    they wait long. A program that never had several threads can also be forked safely, which spares
-    the processes that it starts a second of importing and a copy of all modules.
+    they wait long. A program whose torch never had several threads can also be forked safely
+    (numpy's are made for it), which spares the processes that it starts a second of importing and a
+    copy of all modules.
     """
     import torch  # here, for planners do without it
     global _can_fork
@@ -61,12 +69,23 @@ def in_processes(function, jobs, workers):
     if workers == 1 or len(jobs) == 1:
         yield from (function(*job) for job in jobs)
         return
-    with ProcessPoolExecutor(workers, context(), _start_job_worker) as pool:
-        yield from pool.map(function, *zip(*jobs))
+    try:
+        with ProcessPoolExecutor(workers, context(), _start_job_worker) as pool:
+            yield from pool.map(function, *zip(*jobs))
+    except BrokenProcessPool:
+        raise ProcessLost("one of the processes that share the work has ended, killed or out of "
+                          "memory; --workers 1 needs the least memory") from None
 
 
 def _start_job_worker():
     """What a process of `in_processes` does first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_signals_to_others()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     one_thread()
     sys.stderr = open(os.devnull, "w")  # the progress bars of several would overwrite each other
+
+
+def _end_with_parent():
+    """Waits for the process that started this one to end, killed perhaps, and ends this one too."""
+    multiprocessing.parent_process().join()
+    os._exit(1)

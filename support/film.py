@@ -111,15 +111,16 @@ def frames_of(trace):
         yield view.frame(pose, image, command, t * CONTROL_PERIOD)
 
 
-def write_film(trace, path):
-    """Writes a trace that has images as a GIF, RENDER_FPS frames a second, that runs in a loop."""
+def write_film(trace, file):
+    """Writes a trace that has images as a GIF, RENDER_FPS frames a second, that runs in a loop.
+    file: a path or a binary file."""
     frames = list(frames_of(trace))
     several = np.concatenate(frames[::8] + frames[-1:])  # one choice of colours for all frames
     colours = Image.fromarray(several).quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1)
     frames = [Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
               for frame in frames]
     durations = [1000 // RENDER_FPS] * (len(frames) - 1) + [HOLD]
-    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:],
+    frames[0].save(file, format="GIF", save_all=True, append_images=frames[1:],
                    duration=durations, loop=0)
 
 

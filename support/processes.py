@@ -18,7 +18,6 @@ import mmap
 import multiprocessing
 import os
 import pickle
-import signal
 import sys
 import tempfile
 
@@ -27,6 +26,8 @@ import torch
 from torch import distributed
 
 from support.cores import context, give_memory_back, one_thread
+from support.interruption import interruption, leave_signals_to_others
+from support.run_folder import RunError
 
 STEPS_ALONE = 4  # from one count of the episodes to the next
 SLOT = 2 ** 22  # bytes that a process can show the others at once, enough for a gradient
@@ -68,7 +69,7 @@ class _OneOfMany:
 
     def count_all(self, mine):
         """How many all processes have together, where this one has so many."""
-        return int(self.sum(torch.tensor([float(mine)])))
+        return self.sum(torch.tensor([float(mine)])).item()
 
     def share(self, items, sizes):
         """Those of the items that are this process's: the largest first, each goes to the process
@@ -188,12 +189,9 @@ class Worker(_OnOneMachine):
 
 def _start_worker(work, arguments, rank, count, board):
     """What a process does that was started to work along."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the first process decides
+    leave_signals_to_others()  # Ctrl-C goes to all; the first process decides
     one_thread()
-    try:
-        work(*arguments, Worker(rank, count, board))
-    except Gone:
-        pass
+    work_along(work, *arguments, Worker(rank, count, board))
 
 
 def start_workers(count, work, *arguments):
@@ -207,6 +205,7 @@ def start_workers(count, work, *arguments):
                                   args=(work, arguments, rank, count, board))
         process.start()
         first.started.append(process)
+    atexit.register(first.close)  # else, after a fault, they would wait for this one
     return first
 
 
@@ -262,17 +261,38 @@ def join_torchrun(device):
     return Torchrun()
 
 
-def join_processes(config, work, scenes):
-    """This process among those that share a training: those that torchrun started, or the first of
-    `config.workers`, which it starts. The others call work(config, scenes, processes)."""
+def join_processes(work, config, *arguments):
+    """The first of the processes that share a training: those that torchrun started, or
+    `config.workers`, which it starts. The others call work(config, *arguments, processes), and
+    end."""
     one_thread()
     if config.device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", 0)))
     if torchrun_count() > 1:
-        return join_torchrun(config.device)
+        processes = join_torchrun(config.device)
+        if processes.rank > 0:
+            interruption.line = ""  # the first process says it
+            work_along(work, config, *arguments, processes)
+            sys.exit()
+        return processes
     if config.workers > 1:
-        return start_workers(config.workers, work, config, scenes)
+        return start_workers(config.workers, work, config, *arguments)
     return OneProcess()
+
+
+def work_along(work, *arguments):
+    """Calls work(*arguments), in another process than the first."""
+    try:
+        work(*arguments)
+    except Gone:
+        pass
+    except (FloatingPointError, RunError):  # the first process meets it, too, and says so
+        sys.exit(1)
+
+
+def torchrun_rank():
+    """Which of the processes that torchrun started this is; 0 without it."""
+    return int(os.environ.get("RANK", 0))
 
 
 def torchrun_count():

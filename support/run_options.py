@@ -1,14 +1,113 @@
-"""What the options of a run must obey together, and how many processes share it by default."""
+"""How a run begins: what its options must obey together, and where `--resume` goes on."""
 
-import os
+import json
+import sys
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import torch
 
-from support.cores import available_cores
-from support.processes import torchrun_count
+import scenes as scene_files
+from sim import SceneError
+from support import checkpoints
+from support.command_line import CommandLine
+from support.cores import ProcessLost, available_cores, one_thread
+from support.paths import check_new_folder
+from support.processes import torchrun_count, torchrun_rank
+from support.run_folder import PASSING, RunError, WriteError, how_to_go_on, new_folder
 
 MOST_WORKERS = 4  # unless more are asked for: more were not tried, and each takes memory
+CHANGEABLE = ("steps", *PASSING)  # options that a run may go on with other values of
+LARGEST_CONFIG = 2 ** 16  # bytes of config.json
+
+
+def open_run(config, parser, make_training):
+    """What a run begins with: its config, its scenes and, where it goes on, the states of all
+    processes, else None. What is not valid ends the program.
+
+    make_training(config, scenes, processes) makes a Training to compare a checkpoint with.
+    """
+    one_thread()  # before anything is computed
+    try:
+        if "resume" in parser.given:
+            config = resumed(config, parser)
+        check_run(config, parser)
+        saved = checkpoints.load(config, make_training) if config.resume else None
+        if saved is not None:
+            return config, *saved
+        scenes = [scene_files.load(config.env)]
+        if not config.resume:
+            config.out = config.out or str(new_folder(f"runs/{scenes[0].name}-seed{config.seed}"))
+            if torchrun_rank() == 0:  # the process that writes
+                check_new_folder(config.out)
+        return config, scenes, None
+    except (SceneError, RunError) as error:
+        parser.error(error)
+
+
+def resumed(config, parser):
+    """The config of the run that `config.resume` names, with what may be changed of it by this
+    command line. Raises RunError."""
+    path = Path(config.resume)
+    file = path / "config.json"
+    if not config.resume or not file.is_file():
+        raise RunError(f"--resume '{config.resume}' is no run folder: it has no config.json")
+    own = read_config(file, type(config))
+    for name in parser.given:
+        flag = f"--{name.replace('_', '-')}"
+        if name not in CHANGEABLE and getattr(config, name) != getattr(own, name):
+            raise RunError(f"{flag} is {getattr(config, name)}, but run '{path}' was begun with "
+                           f"{getattr(own, name)}: leave it out")
+    if "steps" in parser.given:
+        if config.steps < own.steps:
+            raise RunError(f"--steps is {config.steps}, it must be at least {own.steps}, as run "
+                           f"'{path}' was begun with")
+        own.steps = config.steps
+    return replace(own, resume=config.resume, json=config.json, out=str(path))
+
+
+def read_config(file, config_class):
+    """The config that a run folder's config.json holds, checked as a command line is."""
+    try:
+        if file.stat().st_size > LARGEST_CONFIG:
+            raise ValueError
+        table = json.loads(file.read_text(encoding="utf-8"))
+        argv = []
+        for item in fields(config_class):
+            if item.name in PASSING:
+                continue
+            value = table.pop(item.name)
+            flag = f"--{item.name.replace('_', '-')}"
+            if item.type is bool and value:
+                argv.append(flag)
+            elif item.type is not bool:
+                argv.append(f"{flag}={value}")
+        parser = CommandLine("")
+        parser.exit = _refuse
+        return parser.read(config_class, argv)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise RunError(f"'{file}' holds no config of this program") from None
+
+
+def _refuse(code, message):
+    raise ValueError
+
+
+@contextmanager
+def faults_as_one_line(config, record):
+    """What keeps a run from going on ends the program with one line. record: of its training."""
+    go_on = how_to_go_on(config)
+    try:
+        yield
+    except RunError as error:  # another program writes to the folder, or weights are too large
+        sys.exit(f"\nerror: {error}")
+    except (WriteError, ProcessLost) as error:
+        sys.exit(f"\nerror: {error}; {go_on}")
+    except FloatingPointError as error:
+        sys.exit(f"\nerror: {error} of update {len(record.updates) + 1} is not finite; the last "
+                 "checkpoint is kept; try a new run with a --learning-rate below "
+                 f"{config.learning_rate}")
 
 
 def default_workers(config):
@@ -23,11 +122,8 @@ def default_workers(config):
 
 
 def check_run(config, parser):
-    """Ends the program where a run cannot be begun: its folder exists, there is no such GPU, or the
-    robots and the episodes of a minibatch cannot be shared. Sets `config.workers` if it is 0."""
-    writes = int(os.environ.get("RANK", 0)) == 0
-    if writes and config.out and Path(config.out).exists():
-        parser.error(f"--out '{config.out}' exists already, it must name a new folder")
+    """Ends the program where a run cannot be begun: there is no such GPU, or the robots and the
+    episodes of a minibatch cannot be shared. Sets `config.workers` if it is 0."""
     if config.device == "cuda" and not torch.cuda.is_available():
         parser.error("--device is cuda, but torch finds no such GPU here; it must be cpu")
     if config.minibatches > config.episodes_per_update:

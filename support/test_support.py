@@ -24,8 +24,9 @@ from support import processes, run_options
 from support.adam import Adam
 from support.processes import start_workers
 from support.ranges import range_readings
-from support.run_folder import RunFolder, new_folder, write
-from support.weights import RunError, load_run, save_model
+from support.record import Record
+from support.run_folder import RunError, RunFolder, WriteError, new_folder, write
+from support.weights import load_run, save_model
 from test_all import random_episodes
 from train import Config
 
@@ -39,8 +40,8 @@ ENV1 = scenes.load("env1")
 def test_a_file_that_fails_while_it_is_written_leaves_the_old_one(tmp_path):
     write(tmp_path / "a.txt", "old")
 
-    def fail(path):
-        path.write_text("half")
+    def fail(file):
+        file.write(b"half")
         raise KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path / "a.txt", fail)
@@ -50,11 +51,11 @@ def test_a_file_that_fails_while_it_is_written_leaves_the_old_one(tmp_path):
 def test_a_folder_that_exists_is_never_taken(tmp_path):
     name = str(tmp_path / "run")
     for expected in ("run", "run-2", "run-3"):
-        folder = RunFolder(new_folder(name), {"seed": 0})
+        folder = RunFolder(Config(out=str(new_folder(name))), Record())
         assert folder.path.name == expected
-    with pytest.raises(OSError):
-        RunFolder(name, {"seed": 1})
-    assert json.loads((tmp_path / "run" / "config.json").read_text()) == {"seed": 0}
+    with pytest.raises(WriteError, match="File exists"):
+        RunFolder(Config(out=name, seed=1), Record())
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["seed"] == 0
 
 
 @pytest.fixture(scope="module")
