@@ -17,6 +17,8 @@ HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 TARGET = 2  # distance and bearing
 LAST = 3  # a_{t-1}: last velocity (2) and last reward (1), paper III-B
+IMAGES = 16  # their number is rounded up to a multiple by repeating some: torch's convolutions keep
+#   75 KB for each number that they have ever seen
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
@@ -138,8 +140,11 @@ class Network(nn.Module):
         """Features (B, FEATURES) of images (B, H, W, 3) uint8."""
         if self.without == "image":
             images = images * 0
+        B = len(images)
+        if B % IMAGES:
+            images = torch.cat([images, images[:-B % IMAGES]])
         colours = images.permute(0, 3, 1, 2).float()  # (B, 3, H, W); channels stay last in memory
-        return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))
+        return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))[:B]
 
     def remember(self, features, target, last, state, mask):
         """Fig. 1: features (M, T, FEATURES), target (M, T, 2), last velocity and reward (M, T, 3),
