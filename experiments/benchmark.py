@@ -191,7 +191,7 @@ def make_training(workers, scene):
     config = Config(workers=workers)
     if workers == 1:
         return Training(config, [scene], OneProcess())
-    return Training(config, [scene], start_workers(workers, train_along, config, [scene], None))
+    return Training(config, [scene], start_workers(workers, train_along, config, [scene]))
 
 
 def train_along(config, scenes, workers):

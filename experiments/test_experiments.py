@@ -460,6 +460,13 @@ def test_pauses_are_the_median_and_the_slowest_of_what_was_called():
     assert 0.01 <= taken[0] < 0.05 <= taken[1]
 
 
+def test_the_workers_of_the_benchmark_train_together():
+    training = benchmark.make_training(2, benchmark.scenes.load("env1"))
+    steps, learnt = benchmark.make_updates(training, 1)
+    training.processes.close()
+    assert steps > learnt >= training.config.episodes_per_update
+
+
 def test_memory_is_that_of_a_command_and_its_children():
     hold = "x = bytearray(60_000_000); import time; time.sleep(1)"
     child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', '{hold}'])"
