@@ -18,7 +18,7 @@ FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 TARGET = 2  # distance and bearing
 LAST = 3  # a_{t-1}: last velocity (2) and last reward (1), paper III-B
 IMAGES = 16  # their number is rounded up to a multiple by repeating some: torch's convolutions keep
-#   75 KB for each number that they have ever seen
+#   memory for each number that they have ever seen
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1

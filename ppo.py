@@ -107,8 +107,7 @@ class Collector:
         return {"env": self.env.state(), "generator": self.generator.get_state(),
                 "observations": {key: value.copy() for key, value in self._observations.items()},
                 "memory": self._memory.clone(), "length": self._length.copy(),
-                "history": [{name: value.copy() for name, value in step.items()}
-                            for step in self._history]}
+                "history": list(self._history)}  # what a step holds never changes
 
     def load_state(self, state):
         """Goes on from a state of a collector that was made in the same way."""
