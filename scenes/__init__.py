@@ -12,6 +12,9 @@ A scene file, e.g. `scenes/env1.toml`, is in world coordinates [m] and in degree
     ]
 
 A Scene is in metres and radians, as everything else here. `python -m scenes FILE` draws a room.
+
+A Gazebo world, a `.world` file, gives boxes alone (`scenes/world_file.py`). Its start and targets
+are chosen (`scenes/places.py`).
 """
 
 import math
@@ -23,12 +26,16 @@ from pathlib import Path
 import numpy as np
 
 from scenes import neighbours  # before any other of ours: it checks that they are ours
+from scenes import generate
 from scenes.limits import (LARGEST_FILE, MOST_BOXES, MOST_COVERED, MOST_TARGETS, WIDEST, check,
                            check_name, check_text, number, sentence, shown, shown_path)
+from scenes.places import complete
+from scenes.world_file import read_boxes
 from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, SceneError
 
 MATERIALS = ("wall", "brick", "wood")  # those that the camera has a texture for
 SCENE_FOLDER = Path(__file__).parent
+WORLD = ".world"  # how the names of Gazebo's files end
 
 
 def names():
@@ -37,11 +44,14 @@ def names():
 
 
 def load(name_or_path):
-    """The Scene of that name in `scenes/`, or of a scene file's path.
+    """The Scene of that name in `scenes/`, of `random:SEED`, or of the path of a scene file or of a
+    Gazebo world.
 
     Raises SceneError, one sentence that names the file and the item, for a file that cannot be read
     and for a room that a robot cannot be run in. What a file may hold: `scenes/limits.py`.
     """
+    if str(name_or_path).startswith(generate.PREFIX):
+        return generate.room(generate.seed_of(name_or_path))
     path = Path(name_or_path)
     if str(name_or_path) in names():
         path = SCENE_FOLDER / f"{name_or_path}.toml"
@@ -51,25 +61,41 @@ def load(name_or_path):
         check(exists or not path.suffix, f"{what} does not exist")
         check(exists, f"unknown scene {shown_path(path)}: it must be one of {', '.join(names())}, "
                       "or a scene file's path")
-        table = read(path)
+        text = read(path)
     except OSError as error:
         raise SceneError(f"{what} cannot be read: {error.strerror}") from None
+    read_scene = parse_world if is_world(path) else parse
+    content = text if is_world(path) else read_toml(text, what)
     try:
-        return parse(table, path.stem)
+        return read_scene(content, path.stem)
     except SceneError as error:
         raise SceneError(sentence(f"{what}: {error}")) from None
 
 
+def is_world(name_or_path):
+    """Whether that names a Gazebo world."""
+    return Path(name_or_path).suffix == WORLD
+
+
+def remark(name_or_path):
+    """What a program says of a room, where there is something to say, else ''."""
+    return "start and targets: chosen, for the file has none" if is_world(name_or_path) else ""
+
+
 def read(path):
-    """The dict that a TOML file holds. Raises SceneError, OSError."""
+    """The text of a file. Raises SceneError, OSError."""
     what = f"scene file {shown_path(path)}"
     with open(path, "rb") as file:
         content = file.read(LARGEST_FILE + 1)
     check(len(content) <= LARGEST_FILE, f"{what} has more than {LARGEST_FILE:,} bytes")
     try:
-        text = content.decode()
+        return content.decode()
     except UnicodeDecodeError as error:
         raise SceneError(f"{what}: byte {error.start} is no UTF-8 text") from None
+
+
+def read_toml(text, what):
+    """The dict that a TOML file's text holds. what: the file, for messages. Raises SceneError."""
     check_text(text, what)
     try:
         return tomllib.loads(text)
@@ -82,30 +108,43 @@ def read(path):
         raise SceneError(f"{what} has a number that is too long") from None
 
 
+def parse_world(text, name):
+    """The Scene of that name that a Gazebo world's text describes, with a start and targets of our
+    choice. Raises SceneError."""
+    check_name(name)
+    boxes = tuple(_box(table, what, "yaw") for what, table in read_boxes(text))
+    _check_boxes(Scene(name, boxes, (0.0, 0.0, 0.0), (), ()))
+    scene = complete(name, boxes)
+    _check_targets(scene)
+    return scene
+
+
 def parse(table, name):
     """The Scene of that name that a dict like a scene file's content describes: world coordinates,
     angles in degrees. Raises SceneError."""
     check_name(name)
-    _check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene")
-    start = table["start"]
-    _check_keys(start, ("x", "y", "heading_degrees"), "start")
-    x = number(start["x"], "start.x")
-    y = number(start["y"], "start.y")
-    heading = number(start["heading_degrees"], "start.heading_degrees")
-    return _checked_scene(name, table, (x, y, math.radians(heading)), yaw_key="yaw_degrees")
+    _check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene",
+                optional=("other_starts",))
+    others = _entries(table, "other_starts", least=0, most=MOST_TARGETS)
+    starts = [_pose(table["start"], "start")]
+    starts += [_pose(other, f"other_starts[{k}]") for k, other in enumerate(others)]
+    return _checked_scene(name, table, starts, yaw_key="yaw_degrees")
 
 
 def rebuild(fields):
     """The Scene that `dataclasses.asdict` made this dict of, as a checkpoint holds it: angles in
     radians, start a list (x, y, heading). Raises SceneError, for a checkpoint is a file too."""
-    _check_keys(fields, [field.name for field in fields_of(Scene)], "the scene")
+    *keys, last = [field.name for field in fields_of(Scene)]
+    _check_keys(fields, keys, "the scene", optional=(last,))  # other_starts
     check_name(fields["name"])
-    start = _numbers(fields["start"], 3, "start")
-    return _checked_scene(fields["name"], fields, start, yaw_key="yaw")
+    others = _entries(fields, "other_starts", least=0, most=MOST_TARGETS)
+    starts = [_numbers(fields["start"], 3, "start")]
+    starts += [_numbers(other, 3, f"other_starts[{k}]") for k, other in enumerate(others)]
+    return _checked_scene(fields["name"], fields, starts, yaw_key="yaw")
 
 
-def _checked_scene(name, table, start, yaw_key):
-    """The Scene of a table's boxes and targets, checked as a whole."""
+def _checked_scene(name, table, starts, yaw_key):
+    """The Scene of a table's boxes and targets, checked as a whole. starts: its poses."""
     boxes = _entries(table, "boxes", least=1, most=MOST_BOXES)
     training = _entries(table, "training_targets", least=1, most=MOST_TARGETS)
     new = _entries(table, "new_targets", least=0,  # a room of level 1 has none
@@ -113,14 +152,16 @@ def _checked_scene(name, table, start, yaw_key):
     scene = Scene(
         name,
         boxes=tuple(_box(box, f"boxes[{k}]", yaw_key) for k, box in enumerate(boxes)),
-        start=start,
+        start=starts[0],
         training_targets=tuple(_numbers(target, 2, f"training_targets[{k}]")
                                for k, target in enumerate(training)),
         new_targets=tuple(_numbers(target, 2, f"new_targets[{k}]")
-                          for k, target in enumerate(new)))
+                          for k, target in enumerate(new)),
+        other_starts=tuple(starts[1:]))
     _check_boxes(scene)
-    check(scene.clearance(start[:2]) > ROBOT_RADIUS,
-          f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
+    for start in starts:
+        check(scene.clearance(start[:2]) > ROBOT_RADIUS,
+              f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
     _check_targets(scene)
     return scene
 
@@ -162,6 +203,15 @@ def distance_to_reachable(scene, points, most):
     return np.array(nearest)
 
 
+def _pose(table, what):
+    """The pose of a table, (x [m], y [m], heading [rad])."""
+    _check_keys(table, ("x", "y", "heading_degrees"), what)
+    x = number(table["x"], f"{what}.x")
+    y = number(table["y"], f"{what}.y")
+    heading = number(table["heading_degrees"], f"{what}.heading_degrees")
+    return x, y, math.radians(heading)
+
+
 def _box(table, what, yaw_key):
     """The Box of a table whose yaw stands under `yaw_degrees`, or under `yaw` [rad]."""
     _check_keys(table, ("material", "x", "y", yaw_key, "length", "thickness", "height"), what)
@@ -182,19 +232,20 @@ def _box(table, what, yaw_key):
         height=number(table["height"], f"{what}.height", above=CAMERA_HEIGHT))
 
 
-def _check_keys(table, keys, what):
-    """Checks that a table has these keys and no others."""
+def _check_keys(table, keys, what, optional=()):
+    """Checks that a table has these keys, and no others but optional ones."""
     check(isinstance(table, dict), f"{what} is {shown(table)}, it must be a table")
     for key in keys:
         check(key in table, f"{what} has no '{key}'")
+    known = (*keys, *optional)
     for key in table:
-        check(isinstance(key, str) and key in keys,
-              f"{what} has an unknown key {shown(key)}; known: {', '.join(keys)}")
+        check(isinstance(key, str) and key in known,
+              f"{what} has an unknown key {shown(key)}; known: {', '.join(known)}")
 
 
 def _entries(table, key, least, most):
-    """The list under a table's key."""
-    entries = table[key]
+    """The list under a table's key; none where it may be empty and there is no such key."""
+    entries = table.get(key, ()) if least == 0 else table[key]
     valid = f"a list with at least {least} entry" if least else "a list"
     check(isinstance(entries, (list, tuple)) and len(entries) >= least,
           f"{key} is {shown(entries)}, it must be {valid}")

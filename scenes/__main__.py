@@ -2,6 +2,7 @@
 
     python -m scenes env1          draws a room of this folder to env1.png
     python -m scenes my-room.toml  draws a room of one's own to my-room.png
+    python -m scenes env5.world    draws the room of a Gazebo world to env5.png
 
 The picture goes to the working folder. A room that cannot be used is one sentence and exit code 2.
 """
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes import load
+from scenes import load, remark
 from sim import CELL, SceneError
 
 
@@ -47,7 +48,8 @@ def draw(scene):
     target = scene.training_targets[0]
     draw_map(above, scene)
     draw_target(above, scene, target, ring=True)
-    draw_robot(above, scene.start)
+    for start in (scene.start, *scene.other_starts):
+        draw_robot(above, start)
     above.set_title(f"{scene.name}: the robot at its start,\n"
                     "training targets blue, new ones green", fontsize=10, parse_math=False)
     images = Camera([scene]).render(np.array([0]), np.array([scene.start]), np.array([target]))
@@ -74,6 +76,8 @@ def main(argv=None):
         parser.error(error)
     print(path)
     print(facts(scene))
+    if remark(options.scene):
+        print(remark(options.scene))
 
 
 if __name__ == "__main__":

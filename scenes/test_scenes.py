@@ -14,7 +14,9 @@ import pytest
 
 import scenes
 from scenes.__main__ import main, share_reachable
+from scenes.places import complete
 from sim import ROBOT_RADIUS, SceneError
+from support.rooms import mirrored
 
 ROOT = Path(__file__).parent.parent
 ENV1 = scenes.load("env1")
@@ -55,6 +57,35 @@ RELEASED = {
               ("wood", -1.5, 1.0, -math.pi / 2, 0.61, 0.6, 0.6),
               ("wood", 0.1, 0.4, 0, 0.61, 0.6, 0.6)],
              (-1.285, -2.935), (0.65, -3.0, math.pi / 2)),
+    "maze0": ([("wall", -3.08, -2.875, -math.pi / 2, 3, 0.15, 2.5),
+               ("wall", -0.655, -4.3, 0, 5, 0.15, 2.5),
+               ("brick", -1.4976, -2.35, 0, 1.72926, 0.3, 1.5),
+               ("brick", 0.0926, -2.913, math.pi / 2, 1.55, 0.3, 1.5),
+               ("wood", -1.0377, -3.8198, math.pi / 2, 0.61, 0.6, 0.6),
+               ("wood", 1.0409, -2.0127, -math.pi / 2, 0.61, 0.6, 0.6),
+               ("wall", 1.77, -2.875, math.pi / 2, 3, 0.15, 2.5),
+               ("wall", -0.655, -1.45, math.pi, 5, 0.15, 2.5),
+               ("brick", -2.2036, -3.0337, math.pi / 2, 1.5, 0.3, 1.5)],
+              (0, 0), (1.0, -3.0, math.pi)),
+    "maze3": ([("wall", -4.26, -3.095, -math.pi / 2, 3, 0.15, 2.5),
+               ("wall", -1.835, -4.52, 0, 5, 0.15, 2.5),
+               ("brick", -0.63, -3.11, math.pi / 2, 1.4, 0.3, 1.5),
+               ("wall", 0.59, -3.095, math.pi / 2, 3, 0.15, 2.5),
+               ("wall", -1.835, -1.67, math.pi, 5, 0.15, 2.5),
+               ("wood", -1.96, -2.535, -math.pi / 2, 0.61, 0.6, 0.6),
+               ("wood", -3.175, -3.55, 0, 0.61, 0.6, 0.6),
+               ("brick", -1.305, -3.66, 0, 1.65, 0.3, 1.5)],
+              (0, 0), (-3.44, -2.5, 0)),
+    "maze4": ([("wall", -4.93, -2.875, -math.pi / 2, 3, 0.15, 2.5),
+               ("wall", -2.505, -4.3, 0, 5, 0.15, 2.5),
+               ("wall", -0.08, -2.875, math.pi / 2, 3, 0.15, 2.5),
+               ("brick", -3.6063, -3.3695, -math.pi / 6, 1.25, 0.3, 1.5),
+               ("brick", -1.4936, -3.3087, math.pi / 6, 1.25, 0.3, 1.5),
+               ("brick", -3.8367, -2.7207, 1.17418, 1.19196, 0.3, 1.5),
+               ("wall", -2.505, -1.45, math.pi, 5, 0.15, 2.5),
+               ("brick", -1.3285, -2.6598, 2 * math.pi / 3, 1.25, 0.3, 1.5),
+               ("wood", -2.5897, -2.7884, -math.pi / 2, 0.61, 0.6, 0.6)],
+              (0, 0), (-0.76, -2.13, 0)),
 }
 
 
@@ -80,8 +111,19 @@ def test_rooms_are_the_papers(scene):
         assert scene.clearance(line).min() < ROBOT_RADIUS
 
 
+def test_the_targets_of_the_test_rooms_are_the_released_one_and_those_of_our_rule():
+    maze0 = scenes.load("maze0")
+    assert maze0.training_targets == ((-2.8, -4.0),) and maze0.new_targets == ()
+    for name in ("maze3", "maze4"):
+        scene = scenes.load(name)
+        chosen = complete(name, scene.boxes)
+        assert scene.start == pytest.approx(chosen.start, abs=0.0051)
+        assert scene.targets == pytest.approx(chosen.targets, abs=0.0051)
+        assert (len(scene.training_targets), len(scene.new_targets)) == (10, 2)
+
+
 def test_rooms_are_known_by_name():
-    assert {"env1", "env2"} <= set(scenes.names())
+    assert set(RELEASED) <= set(scenes.names())
     assert scenes.load(str(ROOT / "scenes" / "env2.toml")) == ENV2
 
 
@@ -90,7 +132,7 @@ def test_a_room_of_level_1_has_no_new_targets():
     assert scene.new_targets == () and scene.targets.shape == (1, 2)
 
 
-@pytest.mark.parametrize("scene", [ENV1, ENV2, ENV1.mirrored()], ids=["env1", "env2", "mirrored"])
+@pytest.mark.parametrize("scene", [ENV1, ENV2, mirrored(ENV1)], ids=["env1", "env2", "mirrored"])
 def test_a_scene_comes_back_from_its_fields_bit_for_bit(scene):
     assert scenes.rebuild(asdict(scene)) == scene
     assert scenes.rebuild(json.loads(json.dumps(asdict(scene)))) == scene  # lists for tuples

@@ -31,6 +31,11 @@ class CommandLine(argparse.ArgumentParser):
                        "folder where it can be")
         self.exit(2, f"error: {one_line(message)}\n")
 
+    def remark(self, text):
+        """Says something beside the program's output, on standard error; '' says nothing."""
+        if text:
+            print(text, file=sys.stderr)
+
     def must_write_to(self, folder):
         """Ends the program unless files can be written into a folder, or it can be made."""
         reason = why_not(folder)

@@ -1,12 +1,14 @@
 """Each test is the shortest proof of one claim about files that may come from strangers.
 
-NAVBOT_FUZZ=100000 in the environment makes the two fuzz tests try so many cases.
+NAVBOT_FUZZ=100000 in the environment makes the fuzz tests try so many cases of each kind: scenes
+and files of weights, and half as many Gazebo worlds.
 """
 
 import copy
 import os
 import pickle
 import random
+import re
 import warnings
 import zipfile
 from collections import OrderedDict
@@ -25,6 +27,7 @@ from evaluation.examine import evaluate
 from model import make_network
 from scenes.limits import LARGEST_FILE, MOST_BOXES, MOST_TARGETS, shown
 from scenes.test_scenes import box, square_room
+from scenes.test_world_file import GOOD as WORLD
 from sim import Scene, SceneError
 from support import weights
 from support.pictures import draw_trajectories
@@ -123,6 +126,30 @@ def test_changed_bytes_are_a_scene_or_refused_in_a_sentence(start, removed, put)
     path.write_bytes(TEXT[:start] + put + TEXT[start + removed:])
     room = outcome(scenes.load, path)
     assert room == "refused" or isinstance(room, Scene)
+
+
+WORDS = re.findall(r"[\w.-]+|\s|[^\w\s]", WORLD)  # tags, names, numbers, and what parts them
+
+
+@settings(max_examples=CASES // 2, derandomize=True, deadline=None, database=None,
+          suppress_health_check=list(HealthCheck))
+@given(st.lists(st.tuples(st.integers(0, len(WORDS) - 1), st.integers(0, 12), st.one_of(
+    st.text(max_size=10), st.floats(-2, 2).map(str), st.sampled_from(WORDS), st.sampled_from([
+        "<a>" * 5000, "</link>", "<a/>" * 9000, "nan", "-inf", "1e999", "9" * 5000, "\0", "&lt;",
+        "<![CDATA[", "<!--", "&a;", "<!DOCTYPE a [<!ENTITY a 'b'>]>", "<?xml version='1.0'?>",
+        "<state><model name='room'><pose>0 0 0 0 0 1</pose></model></state>", "\x1b", "\u202e",
+        "<box><size>1 1 1</size></box>", "x" * 10 ** 5, "<a " + 'b="" ' * 100]))),
+    min_size=1, max_size=3), st.binary(max_size=3), st.integers(0, 10 ** 6))
+def test_a_changed_world_is_a_scene_or_refused_in_a_sentence(changes, put, place):
+    words = list(WORDS)
+    for start, removed, word in changes:
+        words[start:start + removed] = [word]
+    content = "".join(words).encode(errors="surrogatepass")
+    place %= 8 * len(content)  # so that most files stay text
+    path = Path(FOLDER) / "room.world"
+    path.write_bytes(content[:place] + put + content[place:])
+    room = outcome(scenes.load, path)
+    assert room == "refused" or (isinstance(room, Scene) and len(room.training_targets) > 0)
 
 
 @pytest.fixture(autouse=True, scope="module")

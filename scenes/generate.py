@@ -1,0 +1,201 @@
+"""Random rooms: `random:SEED` names one, and the same seed always makes the same room.
+
+They are to be as difficult as the released ones. So they have their size, their boxes and their
+passages, and as many lines of sight blocked. `python -m scenes random:7` draws one.
+
+Axis letters: B boxes, P points, L lines.
+"""
+
+import copy
+import functools
+import math
+
+import numpy as np
+
+from scenes.limits import check, shown
+from scenes.places import GRID, complete
+from sim import FAR_ENOUGH, ROBOT_RADIUS, Box, Scene, flood
+
+PREFIX = "random:"
+MOST_SEED = 10 ** 9
+# All choices are ours, by what the released rooms have, which stands beside them.
+LENGTHS = (4.6, 5.4)  # [m] outer sides of a room; 5.0
+WIDTHS = (2.7, 3.3)  # [m] 3.0
+BRICKS = (1.1, 2.2)  # [m] lengths; 1.15 to 1.73
+BRICK_SHARE = 0.6  # of the obstacles; 12 of 22
+BLOCKED = (0.35, 0.85)  # share of lines that obstacles block, drawn first; 0.41 to 0.83
+CLOSED = 0.3  # [m] gaps up to it are no passages; the robot needs 0.36
+NARROWEST = 0.42  # [m] passages; 0.41 in maze 4
+MOST_OBSTACLES = 8  # 4 or 5
+TRIES = 100  # to put an obstacle somewhere
+LINES = 2000  # whose share is measured
+MOST_KEPT = 128  # rooms that need not be made again, 0.3 MB each; a resumed run asks twice
+CONNECTED = 0.97  # of the floor that the robot fits on, at least
+
+
+def seed_of(name):
+    """The seed in a name like `random:7`. Raises SceneError."""
+    text = name.removeprefix(PREFIX)
+    digits = text.isascii() and text.isdigit() and len(text) <= len(str(MOST_SEED))
+    check(digits and int(text) <= MOST_SEED,
+          f"scene {shown(name)} must be random: and a whole number from 0 to {MOST_SEED:,}")
+    return int(text)
+
+
+@functools.lru_cache(MOST_KEPT)
+def room(seed):
+    """The Scene `random:SEED`."""
+    rng = np.random.default_rng(seed)
+    while True:
+        boxes = furnished(rng)
+        if boxes is not None:
+            return complete(f"random-{seed}", boxes)
+
+
+def furnished(rng):
+    """The boxes of a room, or None where no place was found for enough of them."""
+    length = rng.uniform(*LENGTHS)
+    width = rng.uniform(*WIDTHS)
+    wanted = rng.uniform(*BLOCKED)
+    right_angles = rng.random() < 0.5
+    plan = Plan(walls(length, width), rng)
+    material = drawn_material(rng)
+    for _ in range(TRIES):
+        box, joined = obstacle(rng, material, plan.boxes, length, width, right_angles)
+        if not has_clear_gaps([*plan.boxes, box], joined):
+            continue
+        more = plan.with_box(box)
+        if more.share_blocked > wanted + 0.05 or not more.is_connected():
+            continue
+        plan = more
+        material = drawn_material(rng)  # after one that fits: what fits seldom is not rarer for it
+        if plan.share_blocked >= wanted or len(plan.boxes) == 4 + MOST_OBSTACLES:
+            break
+    return plan.boxes if plan.share_blocked >= BLOCKED[0] else None
+
+
+class Plan:
+    """A room in the making. What is measured of it is kept, so that a box more costs one box."""
+
+    def __init__(self, boxes, rng):
+        """boxes: the outer walls."""
+        scene = as_scene(boxes)
+        low, high = scene.bounds
+        x, y = [np.arange(a, b, GRID) for a, b in zip(low, high)]
+        self.grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
+        self.ends = rng.uniform(low, high, (2, LINES, 2))  # of straight lines
+        self.boxes = boxes
+        self.clearance = scene.clearance(self.grid)  # (X, Y) [m]
+        self.room = scene.clearance(self.ends)  # (2, LINES) [m]
+        self.blocked = np.zeros(LINES, bool)
+
+    def with_box(self, box):
+        """The same plan with a box more."""
+        more = copy.copy(self)
+        scene = as_scene([box])
+        more.boxes = [*self.boxes, box]
+        more.clearance = np.minimum(self.clearance, scene.clearance(self.grid))
+        more.room = np.minimum(self.room, scene.clearance(self.ends))
+        more.blocked = self.blocked | are_blocked([box], *self.ends)
+        return more
+
+    @property
+    def share_blocked(self):
+        """The share of the straight lines between two places, where the robot fits and 1 m or more
+        apart, that a box blocks."""
+        apart = np.hypot(*(self.ends[1] - self.ends[0]).T) >= FAR_ENOUGH
+        counts = apart & (self.room > ROBOT_RADIUS).all(0)
+        return float(self.blocked[counts].mean()) if counts.any() else 1.0
+
+    def is_connected(self):
+        """Whether the robot can drive from nearly everywhere to nearly everywhere."""
+        free = self.clearance > ROBOT_RADIUS
+        freest = self.clearance == self.clearance.max()
+        return flood(free, freest).sum() >= CONNECTED * free.sum() > 0
+
+
+def walls(length, width):
+    """The four outer walls of a room around the origin, as the released rooms have them."""
+    x = length / 2 - 0.075
+    y = width / 2 - 0.075
+    return [Box("wall", -x, 0.0, -math.pi / 2, width, 0.15, 2.5),
+            Box("wall", 0.0, -y, 0.0, length, 0.15, 2.5),
+            Box("wall", x, 0.0, math.pi / 2, width, 0.15, 2.5),
+            Box("wall", 0.0, y, math.pi, length, 0.15, 2.5)]
+
+
+def drawn_material(rng):
+    """What the next obstacle is to be made of."""
+    return "brick" if rng.random() < BRICK_SHARE else "wood"
+
+
+def obstacle(rng, material, boxes, length, width, right_angles):
+    """A brick or a wooden box somewhere: free, or with an end at a wall or at another brick.
+    Returns the Box and the one that it is joined to, or None."""
+    yaw = rng.uniform(-math.pi, math.pi)
+    if right_angles:
+        yaw = rng.integers(4) * math.pi / 2
+    place = rng.uniform((-length / 2, -width / 2), (length / 2, width / 2))
+    if material == "wood":
+        return Box("wood", *place.tolist(), float(yaw), 0.61, 0.6, 0.6), None
+    joined = None
+    brick = rng.uniform(*BRICKS)
+    others = [box for box in boxes if box.material == "brick"]
+    if others and rng.random() < 0.4:  # an L or a T
+        joined = others[rng.integers(len(others))]
+        along = rng.choice((-0.5, 0.0, 0.5)) * (joined.length - joined.thickness)
+    elif rng.random() < 0.4:  # from a wall into the room
+        joined = boxes[rng.integers(4)]
+        along = rng.uniform(-0.5, 0.5) * joined.length
+    if joined is not None:
+        if right_angles:
+            yaw = joined.yaw + rng.choice((-1, 1)) * math.pi / 2
+        end = (joined.x, joined.y) + along * direction(joined.yaw)
+        place = end + brick / 2 * direction(yaw)
+    return Box("brick", float(place[0]), float(place[1]), float(yaw), brick, 0.3, 1.5), joined
+
+
+def direction(yaw):
+    """The unit vector (2,) along an angle [rad]."""
+    return np.array((math.cos(yaw), math.sin(yaw)))
+
+
+def has_clear_gaps(boxes, joined):
+    """Whether the last box reaches out of the room nowhere, into another box nowhere but into the
+    one that it is joined to, and leaves only gaps that are closed or passages."""
+    *others, last = boxes
+    low, high = as_scene(boxes[:4]).bounds
+    corners = last.corners
+    if (corners < low).any() or (corners > high).any():
+        return False
+    edge = np.concatenate([np.linspace(corners[k - 1], corners[k], 24, endpoint=False)
+                           for k in range(4)])
+    for other in others:
+        gap = min(as_scene([other]).clearance(edge).min(),
+                  as_scene([last]).clearance(other.corners).min())
+        if CLOSED < gap < NARROWEST or (gap < 0 and other is not joined):
+            return False
+    return True
+
+
+def are_blocked(boxes, begin, end):
+    """Which of the straight lines (L,) from begin (L, 2) to end (L, 2) meet a box."""
+    blocked = np.zeros(len(begin), bool)
+    for box in boxes:
+        c = math.cos(box.yaw)
+        s = math.sin(box.yaw)
+        own = np.array([(c, -s), (s, c)])  # into the box's axes
+        first = (begin - (box.x, box.y)) @ own
+        way = (end - begin) @ own
+        way[way == 0] = 1e-12
+        half = np.array((box.length, box.thickness)) / 2
+        faces = np.stack([(-half - first) / way, (half - first) / way])  # as shares of the line
+        enters = faces.min(0).max(-1)
+        leaves = faces.max(0).min(-1)
+        blocked |= np.maximum(enters, 0) < np.minimum(leaves, 1)
+    return blocked
+
+
+def as_scene(boxes):
+    """These boxes as a Scene without targets, for its geometry."""
+    return Scene("", tuple(boxes), (0.0, 0.0, 0.0), (), ())
