@@ -63,9 +63,10 @@ class NavVecEnv(VectorEnv):
     `infos["pose"]` (R, 3) are the poses that the step led to, `infos["command"]` (R, 2) the
     commands that led there. When episodes end, `infos["final_obs"]` holds the last observations
     (R, ...), and `infos["final_info"]` the `outcome` (index into OUTCOMES), `return`, `length`,
-    `target_index` (into the scene's targets), `new` (whether that is a new target) and `scene`,
-    (R,) each; `observations` is then the next episode's already. As in all of Gymnasium there is a
-    mask of the same name after a `_`: whether the entry of robot r counts.
+    `target_index` (into the scene's targets), `new` (whether that is a new target), `scene`,
+    `goal_x` and `goal_y` [m], (R,) each; `observations` is then the next episode's already. As in
+    all of Gymnasium there is a mask of the same name after a `_`: whether the entry of robot r
+    counts.
 
     A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`. Arrays of
     its own that change while robots drive it names in `changing`.
@@ -80,7 +81,9 @@ class NavVecEnv(VectorEnv):
                  max_episode_steps=MAX_EPISODE_STEPS, render_mode=None):
         """scenes: a list of names, paths or Scenes; robot r drives in `scenes[r % len(scenes)]`.
         targets: the episodes' targets, drawn uniformly from `training`, `new` or `both` of them,
-        or (R,) indices into `scene.targets`, one for each robot.
+        or (R,) indices into `scene.targets`, one for each robot. Two more make it level 1 or 3 of
+        the paper: `memorize`, the first target, it and the start pose moved a little each time;
+        `anywhere`, from anywhere, as by random_starts, to any reachable place.
         random_starts: the fraction of the episodes to training targets that start anywhere
         reachable, at any heading, 1 m from the target or more (in a smaller room, as far as can
         be); all others start at the start pose.
@@ -97,6 +100,7 @@ class NavVecEnv(VectorEnv):
         self.scene_of = np.arange(num_envs) % len(self.scenes)
         self.world = World([self.scenes[k] for k in self.scene_of])
         self.camera = Camera(self.scenes)
+        self._level = {"memorize": 1, "anywhere": 3}.get(str(targets), 2)  # paper II-B
         self._choices = checks.target_choices(targets, self.world.scenes)  # R lists of indices
         self._training_count = np.array([len(s.training_targets) for s in self.world.scenes])
         self._make_spaces()
@@ -156,12 +160,16 @@ class NavVecEnv(VectorEnv):
         choices = self._choices[r]
         target = choices[rng.integers(len(choices))]
         goal = scene.targets[target]
+        start = scene.own_start(rng)
         new = target >= len(scene.training_targets)
-        start = scene.start
-        if not new and self.random_starts > 0 and rng.random() < self.random_starts:
-            away = scene.away_from(goal)
-            x, y = scene.reachable[away[rng.integers(len(away))]]
-            start = (x, y, rng.uniform(-np.pi, np.pi))
+        if self._level == 1:
+            goal = scene.near(goal, rng)
+            start = scene.near(start, rng)
+        elif self._level == 3:
+            goal = scene.any_place(rng)
+            start = scene.any_start(goal, rng)
+        elif not new and self.random_starts > 0 and rng.random() < self.random_starts:
+            start = scene.any_start(goal, rng)
         return target, goal, start
 
     def observe(self, robots, poses, goals, velocities, last_rewards):
@@ -216,7 +224,8 @@ class NavVecEnv(VectorEnv):
         """Figures of the episodes under way, (R,) each, if they end now with that outcome (R,)."""
         return {"outcome": outcome, "return": self._return.copy(), "length": self._steps.copy(),
                 "target_index": self._target.copy(), "new": self._target >= self._training_count,
-                "scene": self.scene_of.copy()}
+                "scene": self.scene_of.copy(), "goal_x": self.goals[:, 0].copy(),
+                "goal_y": self.goals[:, 1].copy()}
 
     def render(self):
         """With render_mode "rgb_array", the map beside the camera's image of every robot: a tuple
@@ -316,29 +325,13 @@ for _name in scene_files.names():
                  max_episode_steps=MAX_EPISODE_STEPS)
 
 
-class TurnToTarget:
-    """The demo's driver: turns to the target, and drives when it is ahead. Blind to walls."""
-
-    label = "turn to the target and go"
-
-    def reset(self, env, robots):
-        """Remembers nothing, so an episode's start changes nothing."""
-
-    def act(self, env, observations):
-        """Actions (R, 2) from what the robots see."""
-        bearing = observations["target"][:, 1]
-        linear = np.maximum(np.cos(bearing), 0)
-        angular = np.clip(2 * bearing, -1, 1)
-        return np.stack([linear, angular], -1)
-
-
 def main(argv=None):
     """The command line: a demonstration of the world that needs no torch."""
     parser = CommandLine("Drive a robot by the rule 'turn to the target and go', and draw it.")
     parser.add_argument("--env", default="env1", help="a scene's name or file; by default env1")
     options = parser.parse(argv)
     from support.pictures import draw_demo  # loads matplotlib, which the task itself needs not
-    from support.traces import drive
+    from support.traces import TurnToTarget, drive
     try:
         env = NavVecEnv(1, [options.env])
         traces = drive(TurnToTarget(), env, quota=[6], images=True)

@@ -25,6 +25,7 @@ CONTROL_PERIOD = 0.4  # [s] one command, our choice
 SUBSTEPS = 4  # physics steps of one command, our choice
 CELL = 0.025  # [m] grid on which a room's reachable floor is found, our choice
 FAR_ENOUGH = 1.0  # [m] from a start drawn at random to its target, our choice
+PERTURBATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] one standard deviation, our choice
 ROBOTS_PER_COPY = 32  # pymunk looks at every pair of robots that overlap before it ignores it,
 #   so a crowd gets several copies of its room
 
@@ -66,12 +67,14 @@ class Box:
 
 @dataclass(frozen=True)
 class Scene:
-    """A closed room: boxes, start pose, training targets, new (test-only) targets, in metres."""
+    """A closed room: boxes, start pose, training targets, new (test-only) targets, in metres; some
+    rooms have more start poses than one."""
     name: str
     boxes: tuple[Box, ...]
     start: tuple[float, float, float]
     training_targets: tuple[tuple[float, float], ...]
     new_targets: tuple[tuple[float, float], ...]
+    other_starts: tuple[tuple[float, float, float], ...] = ()
 
     @cached_property
     def targets(self):
@@ -83,14 +86,6 @@ class Scene:
         """(2, 2) lowest and highest (x, y) [m] of any box."""
         corners = np.concatenate([box.corners for box in self.boxes])
         return np.stack([corners.min(0), corners.max(0)])
-
-    def mirrored(self):
-        """The room as a mirror shows it, x for -x, without the new targets. The sun stays where it
-        is, so its images are the flipped ones in another light."""
-        x, y, theta = self.start
-        boxes = tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes)
-        targets = tuple((-target_x, target_y) for target_x, target_y in self.training_targets)
-        return Scene(self.name, boxes, (-x, y, math.pi - theta), targets, ())
 
     def clearance(self, points):
         """Distance [m] from each of the (..., 2) points to the nearest box, negative inside one."""
@@ -121,23 +116,50 @@ class Scene:
             half = np.ptp(box.corners, axis=0) / 2 + ROBOT_RADIUS + CELL
             near = np.ix_(np.abs(x - box.x) < half[0], np.abs(y - box.y) < half[1])
             free[near] &= replace(self, boxes=(box,)).clearance(grid[near]) > ROBOT_RADIUS
-        flood = np.zeros_like(free)
-        front = np.flatnonzero(free & (np.abs(grid - self.start[:2]).max(-1) <= CELL))
-        while len(front):
-            flood.flat[front] = True
-            around = np.add.outer((-len(y), -1, 1, len(y)), front).ravel() % flood.size
-            front = np.unique(around[free.flat[around] & ~flood.flat[around]])
-        if flood[[0, -1]].any() or flood[:, [0, -1]].any():
+        flooded = flood(free, np.abs(grid - self.start[:2]).max(-1) <= CELL)
+        if flooded[[0, -1]].any() or flooded[:, [0, -1]].any():
             raise SceneError("the room is not closed: the robot can drive out of it")
-        return grid[flood]
+        return grid[flooded]
 
-    def away_from(self, goal):
-        """Indices into `reachable` of the points that are 1 m or more from a goal (x, y); in a
-        smaller room of those that are farthest away."""
+    def own_start(self, rng):
+        """The start pose (3,); where the room has several, any of them."""
+        starts = (self.start, *self.other_starts)
+        return starts[rng.integers(len(starts))] if self.other_starts else self.start
+
+    def any_place(self, rng):
+        """A place (2,) [m] that the robot can drive to, drawn uniformly."""
+        return self.reachable[rng.integers(len(self.reachable))]
+
+    def any_start(self, goal, rng):
+        """A pose (3,) at any heading, at any reachable place that is 1 m or more from a goal
+        (x, y); in a smaller room, as far as can be."""
         dx = self.reachable[:, 0] - goal[0]
         dy = self.reachable[:, 1] - goal[1]
         squared = dx * dx + dy * dy
-        return np.flatnonzero(squared >= min(FAR_ENOUGH ** 2, squared.max()))
+        away = np.flatnonzero(squared >= min(FAR_ENOUGH ** 2, squared.max()))
+        x, y = self.reachable[away[rng.integers(len(away))]]
+        return np.array([x, y, rng.uniform(-np.pi, np.pi)])
+
+    def near(self, place, rng):
+        """A pose (3,) or place (2,) near that one: moved by PERTURBATION, drawn again until the
+        robot can get there, and it is not nearer to a box than the robot's disc, or than before."""
+        while True:
+            moved = place + rng.normal(0, PERTURBATION[:len(place)])
+            no_nearer = self.clearance(moved[:2]) > min(ROBOT_RADIUS, self.clearance(place[:2]))
+            if no_nearer and np.hypot(*(self.reachable - moved[:2]).T).min() < ARRIVAL_DISTANCE:
+                return moved
+
+
+def flood(free, source):
+    """The cells of a grid that a flood from `source` fills, each through free cells beside it.
+    free, source and what is returned: (X, Y) bool."""
+    flooded = np.zeros_like(free)
+    front = np.flatnonzero(free & source)
+    while len(front):
+        flooded.flat[front] = True
+        around = np.add.outer((-free.shape[1], -1, 1, free.shape[1]), front).ravel() % free.size
+        front = np.unique(around[free.flat[around] & ~flooded.flat[around]])
+    return flooded
 
 
 def _touch(arbiter, space, touched):

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tokenize
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -33,6 +34,7 @@ from scenes.test_scenes import box, square_room
 from support.adam import Adam
 from support.processes import OneProcess
 from support.record import Record
+from support.rooms import mirrored
 from support.weights import load_run
 
 ROOT = Path(__file__).parent
@@ -107,18 +109,19 @@ def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
 
 @pytest.mark.parametrize("scene", [ENV1, ENV2])
 def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
-    mirrored, rng = scene.mirrored(), np.random.default_rng(4)
+    mirror = mirrored(scene)
+    rng = np.random.default_rng(4)
     poses = [(*p, rng.uniform(-3, 3)) for p in rng.choice(scene.reachable, 50)] + [scene.start]
     poses = np.array(poses)
 
     def flip(poses):
         return np.c_[-poses[:, 0], poses[:, 1], sim.wrap_angle(np.pi - poses[:, 2])]
-    assert np.allclose(flip(poses)[-1], mirrored.start) and not mirrored.new_targets
-    env = navbot_min.NavVecEnv(400, [scene, mirrored])
+    assert np.allclose(flip(poses)[-1], mirror.start) and not mirror.new_targets
+    env = navbot_min.NavVecEnv(400, [scene, mirror])
     env.reset(seed=0)  # tests are in the true room alone
-    for room, goals in ((scene, env.goals[::2]), (mirrored, env.goals[1::2])):
+    for room, goals in ((scene, env.goals[::2]), (mirror, env.goals[1::2])):
         assert set(map(tuple, goals)) == set(map(tuple, room.targets))
-    world, twin = sim.World([scene] * 51), sim.World([mirrored] * 51)
+    world, twin = sim.World([scene] * 51), sim.World([mirror] * 51)
     world.place(slice(None), poses)
     twin.place(slice(None), flip(poses))
     for _ in range(20):
@@ -261,13 +264,14 @@ def test_bearing_is_continuous_through_pi():
     assert np.allclose(seen, (2.0, np.pi / 2))  # the target to the left has a positive bearing
 
 
-@pytest.mark.parametrize("name", ["env1", "env2"])
-def test_gymnasium_accepts_the_environment_without_a_warning(name):
+@pytest.mark.parametrize("name, targets", [("env1", "memorize"), ("env2", "both"),
+                                           ("env1", "anywhere")])
+def test_gymnasium_accepts_the_environment_without_a_warning(name, targets):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gym.make(f"navbot_min:NavBot-{name}-v0", render_mode="rgb_array")
+        env = gym.make(f"navbot_min:NavBot-{name}-v0", render_mode="rgb_array", targets=targets)
         check_env(env.unwrapped, skip_render_check=True)  # it would open a window
-        many = gym.make_vec(f"navbot_min:NavBot-{name}-v0", num_envs=3,
+        many = gym.make_vec(f"navbot_min:NavBot-{name}-v0", num_envs=3, targets=targets,
                             vectorization_mode="vector_entry_point")
     observations, _ = many.reset(seed=0)
     assert many.observation_space.contains(observations)
@@ -388,6 +392,55 @@ def test_episodes_draw_their_targets_from_the_chosen_set(targets, indices):
     env = navbot_min.NavVecEnv(64, targets=targets)
     env.reset(seed=0)
     assert set(map(tuple, env.goals)) == {tuple(ENV1.targets[k]) for k in indices}
+
+
+def sampled(scene, targets, count=4000):
+    """Goals (count, 2) and start poses (count, 3) of that many episodes in a scene."""
+    env = navbot_min.NavVecEnv(1, [scene], targets)
+    env.reset(seed=0)
+    _, goals, starts = zip(*(env.sample_episode(0) for _ in range(count)))
+    return np.array(goals), np.array(starts)
+
+
+def test_level_1_leads_from_near_any_start_to_near_the_first_target():
+    others = ((-2.0, -3.2, 1.0), (-2.7, -2.8, 3.0))
+    goals, starts = sampled(replace(ENV1, other_starts=others), "memorize")
+    spread = np.array([0.05, 0.05, math.radians(10)])
+    assert (goals - ENV1.targets[0]).std(0) == pytest.approx(spread[:2], rel=0.1)
+    assert goals.mean(0) == pytest.approx(ENV1.targets[0], abs=0.005)
+    near = np.abs(starts[:, None, :2] - np.array([ENV1.start, *others])[:, :2]).sum(-1).argmin(1)
+    assert np.bincount(near).min() > 1200
+    for k, pose in enumerate([ENV1.start, *others]):
+        moved = starts[near == k] - pose
+        assert moved.std(0) == pytest.approx(spread, rel=0.15)
+        assert moved.mean(0) == pytest.approx(0, abs=0.015)
+
+
+def test_level_1_starts_where_the_robot_fits_and_moves_no_target_towards_a_box():
+    tight = scenes.parse(square_room(0.25, training_targets=[[0.2, 0.0]], new_targets=[]), "room")
+    goals, starts = sampled(tight, "memorize")
+    assert sim.ROBOT_RADIUS < tight.clearance(starts[:, :2]).min() < sim.ROBOT_RADIUS + 0.001
+    assert 0.05 < tight.clearance(goals).min() < 0.051
+
+
+def test_level_1_leads_to_no_place_behind_a_thin_wall():
+    thin = scenes.parse(square_room(0.5, thickness=0.001, training_targets=[[0.45, 0.0]],
+                                    new_targets=[]), "room")
+    goals, _ = sampled(thin, "memorize", 1000)
+    assert 0.4 < np.abs(goals).max() < 0.5
+
+
+@pytest.mark.parametrize("scene", [ENV1, scenes.load("random:3")])
+def test_level_3_leads_from_anywhere_to_anywhere_at_any_heading(scene):
+    goals, starts = sampled(scene, "anywhere", 2000)
+    assert 1 <= np.hypot(*(starts[:, :2] - goals).T).min() < 1.02
+    reachable = set(map(tuple, scene.reachable))
+    for places in (goals, starts[:, :2]):
+        assert set(map(tuple, places)) <= reachable
+        apart = scene.reachable[::5, None] - places
+        assert np.hypot(apart[..., 0], apart[..., 1]).min(1).max() < 0.3  # m, from any place
+    counts, _ = np.histogram(starts[:, 2], 8, (-np.pi, np.pi))
+    assert counts.sum() == 2000 and (np.abs(counts - 250) < 70).all()  # 4.7 standard deviations
 
 
 def test_reset_starts_the_episode_that_it_is_asked_for():
@@ -826,8 +879,7 @@ def test_the_share_of_the_robots_that_was_asked_for_drives_in_the_mirrored_room(
     config = train.Config(robots=8, mirrored=0.25)
     training = train.Training(config, [ENV1, ENV2], OneProcess())
     true = [ENV1, ENV2] * 3
-    assert training.env.scenes == true + [ENV1.mirrored(), ENV2.mirrored()]
-    assert training.scenes == true + [ENV1, ENV2]
+    assert training.env.scenes == true + [mirrored(ENV1), mirrored(ENV2)]
 
 
 def test_a_training_goes_on_from_its_state_as_if_it_had_never_stopped():

@@ -28,18 +28,23 @@ from support.checkpoints import Keeper, NoKeeper
 from support.command_line import CommandLine, option
 from support.processes import join_processes
 from support.record import Record
+from support.rooms import make_rooms
 from support.run_folder import NoFolder, RunFolder
 from support.run_options import faults_as_one_line, open_run
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 FINAL_STD = 0.2  # of the initial standard deviations, when a run uses all its steps, our choice
 ANNEALING = 0.15  # share of the steps, the last ones, in which they shrink to it, our choice
+TASKS = ("memorize", "both", "anywhere")  # levels 1, 2 and 3 of the paper, II-B
 
 
 @dataclass
 class Config:
     """A training run. The command line is made from these fields."""
-    env: str = option("env1", "the room: a scene's name, or a path to a scene file")
+    env: str = option("env1", "a room's name or file, random:7 (one random room), or random (many)")
+    targets: str = option("both", "one to memorize (level 1), both old and new ones (level 2), or "
+                          "anywhere (level 3, and all there is in random rooms)", choices=TASKS)
+    rooms: int = option(0, "random rooms to learn in; by default 0: ever new ones", 0, 4096)
     seed: int = option(0, "what all random numbers come from: another one, another run", 0)
     steps: int = option(500_000, "at most so many steps, all robots' together", 1, 10 ** 9)
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
@@ -81,28 +86,24 @@ class Training:
         self.model = make_network(config.seed, config.memory, config.without).to(config.device)
         self.optimizer = Adam(self.model)
         self.rng = np.random.default_rng(config.seed)  # shuffles, the same in all processes
-        own_rng = np.random.default_rng([config.seed, processes.rank])
-        env_seed, action_seed = own_rng.integers(2 ** 31, size=2).tolist()
-        mine = slice(processes.rank, None, processes.count)  # of all robots
-        self.scenes = [scenes[r % len(scenes)] for r in range(config.robots)][mine]
-        self.env = self.make_env(self.rooms(scenes)[mine])
-        self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
+        self.robots = range(processes.rank, config.robots, processes.count)  # those of this process
+        self.rooms = make_rooms(config, scenes)
+        self.enter_rooms()
         self.record = Record()
         self.buffer = []  # episodes to training targets since the last update
         if states is not None:
             self.load_state(states[processes.rank])
 
-    def rooms(self, scenes):
-        """A room for each robot. The last robots drive in mirrored rooms, without new targets:
-        there they only train. Robot r's is a picture of `scenes[r % len(scenes)]` always."""
-        R = self.config.robots
-        mirrors = [scene.mirrored() for scene in scenes]
-        in_mirror = int(R * self.config.mirrored)
-        return [(scenes if r < R - in_mirror else mirrors)[r % len(scenes)] for r in range(R)]
+    def enter_rooms(self):
+        """Puts every robot into its room, where its next episode begins."""
+        own_rng = np.random.default_rng([self.config.seed, self.processes.rank, self.rooms.moves])
+        env_seed, action_seed = own_rng.integers(2 ** 31, size=2).tolist()
+        self.env = self.make_env([self.rooms.of_robot(r) for r in self.robots])
+        self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
 
     def make_env(self, rooms):
         """The environment with a robot in each of these rooms."""
-        return NavVecEnv(len(rooms), rooms, "both", self.config.random_starts)
+        return NavVecEnv(len(rooms), rooms, self.config.targets, self.config.random_starts)
 
     def is_over(self):
         """Whether the steps are used up, or the paper's rule stops the run."""
@@ -116,6 +117,8 @@ class Training:
         """Drives all robots until the buffer holds N episodes to training targets, lines 3 to 5 of
         Algorithm 1, or the steps are used up. Returns the rows of episodes.csv of the episodes that
         ended, in all processes, in their order. Raises FloatingPointError."""
+        if self.rooms.move(self.record.steps):
+            self.enter_rooms()
         ended = []  # here: an episode, or None if it is not learnt from, and its row
         stored = 0  # in all processes
         while stored < self.config.episodes_per_update and self.record.steps < self.config.steps:
@@ -137,14 +140,13 @@ class Training:
 
     def _ended(self, episode, info):
         """An episode that ended now, and its row of episodes.csv. What happens on the way to a new
-        target is never learnt from. A target of the mirrored room is named by its place in the true
-        one."""
-        x, y = self.scenes[info["scene"]].targets[info["target_index"]].tolist()
-        row = {"steps": self.record.steps, "target_x": x, "target_y": y,
-               "kind": "new" if info["new"] else "training",
-               "outcome": OUTCOMES[info["outcome"]],
+        target, or in a room for validation, is never learnt from."""
+        new = info["new"] or self.rooms.is_watched(self.robots[info["scene"]])
+        row = {"steps": self.record.steps, "scene": self.env.scenes[info["scene"]].name,
+               "target_x": info["goal_x"], "target_y": info["goal_y"],
+               "kind": "new" if new else "training", "outcome": OUTCOMES[info["outcome"]],
                "return": info["return"], "length": info["length"]}
-        return (None if info["new"] else episode), row
+        return (None if new else episode), row
 
     def learn(self):
         """One update by the episodes in the buffer, which it empties. Returns its statistics.
@@ -164,13 +166,15 @@ class Training:
         weights = {name: value.clone() for name, value in self.model.state_dict().items()}
         return {"model": weights, "optimizer": self.optimizer.state(),
                 "rng": self.rng.bit_generator.state, "collector": self.collector.state(),
-                "record": self.record.state()}
+                "record": self.record.state(), "rooms": self.rooms.state()}
 
     def load_state(self, state):
         """Goes on from a state of a training with the same config and scenes, exactly."""
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state(state["optimizer"])
         self.rng.bit_generator.state = state["rng"]
+        if self.rooms.load_state(state["rooms"]):
+            self.enter_rooms()
         self.collector.load_state(state["collector"])
         self.record.load_state(state["record"])
 

@@ -39,9 +39,10 @@ class Options:
                       "who drives", positional=True)
     planner: str = option("", "a planner drives, not a run's policy; by default none",
                           choices=["", *PLANNERS])
-    env: str = option("", "another room to drive in: a scene's name, or a path to a scene file; by "
-                      "default the run's own, for a planner env1")
-    protocol: str = option("start", "where episodes start and lead", choices=list(PROTOCOLS))
+    env: str = option("", "another room to drive in: its name, a path (.toml, .world) or random:7; "
+                      "by default the run's own, for a planner env1")
+    protocol: str = option("", "where episodes start and lead; by default start, for a run of "
+                           "level 3 anywhere", choices=["", *PROTOCOLS])
     hide: str = option("", "what the policy is not shown of its target: its place, its cube or "
                        "both; by default it is shown all", choices=HIDDEN)
     episodes: int = option(1000, "episodes to targets of each kind, with anywhere in all", 1,
@@ -63,9 +64,20 @@ class Examination:
     suffix: str  # of the files' names
 
 
+def own_protocol(run):
+    """The protocol of the task that a run's folder was trained for; without one, `start`."""
+    try:
+        config = json.loads((run / "config.json").read_text(encoding="utf-8"))
+        return "anywhere" if config["targets"] == "anywhere" else "start"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return "start"  # a file of weights, say
+
+
 def prepare(run, options):
     """The Examination of a run, a folder or a .pt file, or where that is None of a planner. Raises
     RunError, SceneError."""
+    own = own_protocol(run)
+    options.protocol = options.protocol or own
     if run is None:
         chosen = [scenes.load("env1")]
         actions = options.planner
@@ -82,7 +94,8 @@ def prepare(run, options):
         chosen = [scenes.load(options.env)]
     protocol_scenes(options.protocol, chosen)  # whatever it raises, before anything is driven
     place = f"-{chosen[0].name}" if options.env or run is None else ""
-    suffix = "" if options.protocol == "start" else f"-{options.protocol}"
+    # `evaluation.json` in a run's folder is training's own; at level 3 no other takes its place.
+    suffix = "" if options.protocol == own == "start" else f"-{options.protocol}"
     if options.hide:
         suffix += f"-hidden-{options.hide}"
     folder = Path("evaluations") / (name + place)
@@ -148,6 +161,7 @@ def main(argv=None):
         examined = prepare(run, options)
         parser.must_write_to(examined.folder)
         examined.folder.mkdir(parents=True, exist_ok=True)
+        parser.remark(scenes.remark(options.env))
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
     # Planners keep what they know to themselves.

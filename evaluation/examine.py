@@ -14,6 +14,7 @@ from support.traces import drive
 
 KINDS = {"training": "all training targets", "new": "all new targets",
          "validation": "validation targets", "anywhere": "any free target"}
+ROOMS = {"training": "rooms learnt in", "new": "new rooms"}  # level 3 has no other kinds
 BLOCK = 64  # robots that drive side by side; a process drives a block at a time
 MOST_ROWS = 40  # targets that `table` has a line for
 
@@ -89,7 +90,8 @@ def evaluate(driver, scenes, episodes=1000, protocol="start", seed=0, actions="s
         if value not in valid:
             known = ", ".join(map(repr, valid))
             raise ValueError(f"{name} is {value!r}, it must be one of {known}")
-    scenes = protocol_scenes(protocol, load_scenes(scenes))
+    scenes = list(dict.fromkeys(load_scenes(scenes)))  # one that is given twice counts once
+    scenes = protocol_scenes(protocol, scenes)
     paths = ShortestPaths()
     traces = rollouts(driver, assign_all(protocol, scenes, episodes), protocol, seed, hidden,
                       environment=environment, workers=workers, paths=paths)
@@ -125,7 +127,8 @@ def target_rows(scenes, traces, test_kind, paths):
 def table(result):
     """An evaluation as lines of text: all targets of a kind, then a target a line, where these are
     not too many."""
-    rows = [(name, result[kind]) for kind, name in KINDS.items() if result.get(kind)]
+    kinds = KINDS | ROOMS if result["protocol"] == "anywhere" else KINDS
+    rows = [(name, result[kind]) for kind, name in kinds.items() if result.get(kind)]
     if len(result["targets"]) <= MOST_ROWS:
         rows += [(target_name(row), row) for row in result["targets"]]
     width = max(len(name) for name, _ in rows)
@@ -157,14 +160,17 @@ def report(summary):
     """What a training run says at its end: the rolling number that it stopped on and the frozen one
     side by side, then the table of the frozen evaluation. summary: what `summary.json` holds."""
     why = "by the paper's rule" if summary["stopped_by_rule"] else "before the paper's rule was met"
+    if summary["rolling_new_success"] is None:
+        why = "after all its steps"  # there are no episodes to decide by
     rolling = "no episode"
     if summary["rolling_new_success"] is not None:
         rolling = f"{summary['rolling_new_success']:.0%} of the last episodes, 100 at most"
     new = summary["frozen"]["new"]
+    where = "in new rooms" if summary["frozen"]["protocol"] == "anywhere" else "on new targets"
     success = "there are none"
     if new is not None:
         success = (f"while training {rolling} | frozen {new['success']:.1%} "
                    f"[{new['low']:.1%}, {new['high']:.1%}] of {new['n']:,} fresh episodes")
     return (f"stopped {why}: {summary['steps']:,} steps, {summary['episodes']:,} episodes, "
             f"{summary['seconds']:.0f} s\n"
-            f"success on new targets: {success}\n{table(summary['frozen'])}")
+            f"success {where}: {success}\n{table(summary['frozen'])}")

@@ -5,7 +5,7 @@ A protocol overrides the hook `sample_episode` of an environment, hiding overrid
 environment is NavVecEnv or a subclass of it:
 
 - `start`: every episode starts at the scene's start pose, as training's test episodes do.
-- `perturbed`: near the start pose.
+- `perturbed`: near the start pose, to near a target.
 - `anywhere`: from any place, at any heading, to any place.
 - `validation`: as `start`, to the targets of `validation_scene`, so that anyone can tune on these
   and the new targets stay an exam.
@@ -19,42 +19,34 @@ import numpy as np
 from navbot_min import NavVecEnv
 from render import CUBE_SIZE
 from scenes import distance_to_reachable
-from sim import CELL, ROBOT_RADIUS, Scene, SceneError
+from sim import CELL, Scene, SceneError
 
 # At most. More robots wait longer for the last: each drives its episodes one after another.
 EPISODES_PER_ROBOT = 16
 HIDDEN = ("", "place", "cube", "both")  # what a policy may not be shown of its target
-START_DEVIATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] of `perturbed`
 PATCH = 0.25  # [m] from one validation target to the next, and the size of a patch of floor.png
 EXAM_DISTANCE = 0.5  # [m] that a validation target keeps from the start and each new target
 OUT_OF_SIGHT = 1000.0  # [m] away is a cube that the camera does not show
 
 
 class Perturbed:
-    """Episodes start near the scene's start pose: moved by 5 cm and 10 degrees, one standard
-    deviation each, drawn again until the robot fits there."""
+    """Episodes lead from near a start pose to near a target, as at level 1."""
 
     def sample_episode(self, r):
         target, goal, start = super().sample_episode(r)
         scene = self.scenes[self.scene_of[r]]
-        while True:
-            moved = start + self.np_random.normal(0, START_DEVIATION)
-            if scene.clearance(moved[:2]) > ROBOT_RADIUS:
-                return target, goal, moved
+        return target, scene.near(goal, self.np_random), scene.near(start, self.np_random)
 
 
 class Anywhere:
-    """Episodes lead from any reachable place, at any heading, to any reachable place 1 m away or
-    more (in a smaller room, as far as can be). The target's index is without meaning."""
+    """Episodes lead from anywhere to anywhere, as at level 3. The target's index is without
+    meaning."""
 
     def sample_episode(self, r):
         target, _, _ = super().sample_episode(r)
         scene = self.scenes[self.scene_of[r]]
-        rng = self.np_random
-        goal = scene.reachable[rng.integers(len(scene.reachable))]
-        places = scene.away_from(goal)
-        x, y = scene.reachable[places[rng.integers(len(places))]]
-        return target, goal, np.array([x, y, rng.uniform(-np.pi, np.pi)])
+        goal = scene.any_place(self.np_random)
+        return target, goal, scene.any_start(goal, self.np_random)
 
 
 PROTOCOLS = {"start": (), "perturbed": (Perturbed,), "anywhere": (Anywhere,), "validation": ()}

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from scenes.limits import shown_path
+from support import rooms
 from support.interruption import interruption
 from support.processes import OneProcess, torchrun_rank
 from support.run_folder import RunError
@@ -32,10 +33,10 @@ VERSION = 1
 EVERY = 30.0  # [s] from one checkpoint to the next
 SHARE = 0.01  # of the time that checkpoints may take; where they are slow, they are rarer
 LARGEST = 2 ** 33  # bytes of a checkpoint; 64 robots need some 30 MB
-LONGEST_WORD = 20  # in a row of a CSV table
+LONGEST_WORD = 100  # in a row of a CSV table
 ROWS = {  # the first columns of the CSV tables; all others hold a float
-    "episodes": {"steps": int, "target_x": float, "target_y": float, "kind": str, "outcome": str,
-                 "return": float, "length": int},
+    "episodes": {"steps": int, "scene": str, "target_x": float, "target_y": float, "kind": str,
+                 "outcome": str, "return": float, "length": int},
     "updates": {"steps": int}}
 
 
@@ -196,7 +197,10 @@ def check_tensor(tensor, dtype, shape):
 
 
 def check_state(training):
-    """Checks numbers that are used as an index. Raises ValueError."""
+    """Checks numbers that are used as an index, and that robots moved no sooner than it was time.
+    Raises ValueError."""
+    if training.rooms.moves * rooms.EVERY > training.record.steps:
+        raise ValueError
     env = training.env
     for r, scene in enumerate(env.world.scenes):
         if not 0 <= env._target[r] < len(scene.targets):

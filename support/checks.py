@@ -48,7 +48,8 @@ def load_scenes(scenes, most=None):
 def target_choices(targets, scenes):
     """The target indices that each robot's episodes draw from, one array a robot.
 
-    targets: `training`, `new` or `both`, or an index for each robot. scenes: one for each robot.
+    targets: `training`, `new`, `both`, `memorize` or `anywhere`, or an index for each robot.
+    scenes: one for each robot.
     """
     named = isinstance(targets, str)
     if not named and np.shape(targets) != (len(scenes),):
@@ -58,7 +59,8 @@ def target_choices(targets, scenes):
     for r, scene in enumerate(scenes):
         everyone = np.arange(len(scene.targets))
         training = len(scene.training_targets)
-        sets = {"training": everyone[:training], "new": everyone[training:], "both": everyone}
+        sets = {"training": everyone[:training], "new": everyone[training:], "both": everyone,
+                "memorize": everyone[:1], "anywhere": everyone[:1]}
         if named and targets not in sets:
             raise ValueError(f"targets is {targets!r}, it must be one of {', '.join(sets)}")
         whole = named or (isinstance(targets[r], (int, np.integer))

@@ -22,6 +22,10 @@ SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points
            "env2": {"training": 500, "new": 100}}
 WINDOW = 100  # episodes that a success rate is taken over, paper IV-B
 PAPER_CURVES = Path(__file__).parent / "paper_curves.csv"
+KINDS = {  # of episodes, by the task: what they are called
+    "memorize": {"training": "the one target"},
+    "both": {"training": "training targets", "new": "new targets"},
+    "anywhere": {"training": "rooms learnt in", "new": "rooms not learnt in"}}
 RING = 1.05  # cube sizes, radius of the ring around the target of the episode that is shown
 FEWEST = 5  # episodes to a patch of the floor that its success rate is shown from
 MOST_PANELS = 16  # of `draw_trajectories`: a scene of more targets has one panel for all
@@ -225,23 +229,28 @@ def draw_column(column, theirs, ours, window):
         axes.grid(alpha=0.3)
 
 
-def draw_curves(episodes, env, stop_rate):
-    """Fig. 4 and 5: success rate and average reward at the paper's spacing, its own curves behind.
+def draw_curves(episodes, env, stop_rate, task="both"):
+    """Fig. 4 and 5: success rate and average reward at the paper's spacing; at level 2 its own
+    curves behind.
 
-    episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. Returns a Figure.
+    episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. task: of KINDS.
+    Returns a Figure.
     """
+    kinds = KINDS[task]
     figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
-    panels = figure.subplots(2, 2, sharey="row", sharex="col")
-    for column, kind in zip(panels.T, ("training", "new")):
-        window = SPACING.get(env, {}).get(kind, WINDOW)
+    panels = figure.subplots(2, len(kinds), sharey="row", sharex="col", squeeze=False)
+    for column, (kind, name) in zip(panels.T, kinds.items()):
+        window = SPACING.get(env, {}).get(kind, WINDOW) if task == "both" else WINDOW
         ours = curve([row for row in episodes if row["kind"] == kind], window)
-        draw_column(column, released_curve(env, kind), ours, window)
-        column[0].set_title(f"{kind} targets", color=PALETTE[kind], weight="bold")
-        column[1].set(xlabel=f"episodes to {kind} targets",
+        theirs = released_curve(env, kind) if task == "both" else None
+        draw_column(column, theirs, ours, window)
+        column[0].set_title(name, color=PALETTE[kind], weight="bold")
+        column[1].set(xlabel=f"episodes, {name}",
                       ylabel=f"average reward of an episode,\nlast {window} episodes")
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
-    panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
-                         label=f"training stops above {stop_rate:.0%}")
+    if "new" in kinds:
+        panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
+                             label=f"training stops above {stop_rate:.0%}")
     figure.suptitle(env, parse_math=False)
     handles = {}  # by label: each once, whichever panel it is in
     for axes in panels.flat:

@@ -15,6 +15,7 @@ from support.command_line import CommandLine
 from support.cores import ProcessLost, available_cores, one_thread
 from support.paths import check_new_folder
 from support.processes import torchrun_count, torchrun_rank
+from support.rooms import RANDOM, validation_scenes
 from support.run_folder import PASSING, RunError, WriteError, how_to_go_on, new_folder
 
 MOST_WORKERS = 4  # unless more are asked for: more were not tried, and each takes memory
@@ -36,14 +37,25 @@ def open_run(config, parser, make_training):
         saved = checkpoints.load(config, make_training) if config.resume else None
         if saved is not None:
             return config, *saved
-        scenes = [scene_files.load(config.env)]
+        scenes, name = scenes_of(config)
         if not config.resume:
-            config.out = config.out or str(new_folder(f"runs/{scenes[0].name}-seed{config.seed}"))
+            config.out = config.out or str(new_folder(f"runs/{name}-seed{config.seed}"))
             if torchrun_rank() == 0:  # the process that writes
                 check_new_folder(config.out)
+                parser.remark(scene_files.remark(config.env))
         return config, scenes, None
     except (SceneError, RunError) as error:
         parser.error(error)
+
+
+def scenes_of(config):
+    """The Scenes that a run begins with, and their name. Raises SceneError."""
+    if config.env == RANDOM:
+        return validation_scenes(), RANDOM
+    scene = scene_files.load(config.env)
+    if config.targets == "memorize":  # one target, and there are no others
+        scene = replace(scene, training_targets=scene.training_targets[:1], new_targets=())
+    return [scene], scene.name
 
 
 def resumed(config, parser):
@@ -121,9 +133,26 @@ def default_workers(config):
     return max(count for count in range(1, max(most, 1) + 1) if config.robots % count == 0)
 
 
+def check_task(config, parser):
+    """Ends the program where options contradict the task. In random rooms there is one alone."""
+    is_random = config.env == RANDOM
+    if is_random and "targets" not in parser.given:
+        config.targets = "anywhere"
+    if is_random and config.targets != "anywhere":
+        parser.error(f"--targets is {config.targets}, with --env {RANDOM} it must be anywhere")
+    goes_with = {"rooms": (f"--env {RANDOM}", is_random),
+                 "mirrored": ("--targets both", config.targets == "both"),
+                 "random_starts": ("--targets both", config.targets == "both")}
+    for name, (other, valid) in goes_with.items():
+        if name in parser.given and not valid:
+            parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it goes with "
+                         f"{other} alone: leave it out")
+
+
 def check_run(config, parser):
     """Ends the program where a run cannot be begun: there is no such GPU, or the robots and the
     episodes of a minibatch cannot be shared. Sets `config.workers` if it is 0."""
+    check_task(config, parser)
     if config.device == "cuda" and not torch.cuda.is_available():
         parser.error("--device is cuda, but torch finds no such GPU here; it must be cpu")
     if config.minibatches > config.episodes_per_update:

@@ -88,6 +88,22 @@ BAD = [
     (TRAIN, f"--env {LONG}.toml", "xxx...', no file can have that name"),
     (TRAIN, f"--resume {LONG}", "xxx...', no file can have that name"),
     (TRAIN, "--env \udc80", "'\\udc80'"),
+    *[(main, f"{before}random:{seed}", "must be random: and a whole number from 0 to 1,000,000,000")
+      for main, before in ((TRAIN, "--env "), (EVALUATE, "--planner bug --env "), (DRAW, ""),
+                           (DEMO, "--env "))
+      for seed in ("", "-1", "x", "1000000001", "9" * 200)],
+    (TRAIN, "--rooms 4", "--rooms is 4, it goes with --env random alone: leave it out"),
+    (TRAIN, "--rooms 4 --env random:7", "--rooms is 4, it goes with --env random alone"),
+    (TRAIN, "--rooms 4097 --env random", "--rooms is 4097, it must be a whole number from 0 to"),
+    (TRAIN, "--targets none", "--targets is 'none', it must be one of 'memorize', 'both', 'any"),
+    (TRAIN, "--targets anywhere --mirrored 0.5",
+     "--mirrored is 0.5, it goes with --targets both alone: leave it out"),
+    (TRAIN, "--targets memorize --random-starts 0.7",
+     "--random-starts is 0.7, it goes with --targets both alone: leave it out"),
+    (TRAIN, "--env random --mirrored 0.5", "--mirrored is 0.5, it goes with --targets both alone"),
+    *[(TRAIN, f"--env random --targets {targets}",
+       f"--targets is {targets}, with --env random it must be anywhere")
+      for targets in ("both", "memorize")],
     (EVALUATE, "", "give either a run"),
     (EVALUATE, "--episodes 5", "give either a run"),
     (EVALUATE, "--episodes 5 none", "run 'none' does not exist"),

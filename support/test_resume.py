@@ -22,7 +22,8 @@ import torch
 import ppo
 import scenes
 import train
-from support import checkpoints
+from scenes import generate
+from support import checkpoints, rooms
 from support.adam import Adam
 from support.checkpoints import Keeper
 from support.processes import OneProcess
@@ -68,10 +69,10 @@ def begin(folder, processes=1, torchrun=False, more=""):
                  torchrun=torchrun, more=more)
 
 
-def go_on(folder, *options, processes=1, torchrun=False):
+def go_on(folder, *options, processes=1, torchrun=False, more=""):
     """Resumes a run, and waits for its end."""
     process = start(folder, "--resume", str(folder), *options, processes=processes,
-                    torchrun=torchrun)
+                    torchrun=torchrun, more=more)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 0, said
 
@@ -268,6 +269,82 @@ def test_ctrl_c_outside_of_training_is_one_line_and_what_is_missing_is_made(whol
     assert said.endswith(f"\ninterrupted: go on with python train.py --resume {folder}\n")
     go_on(folder)
     assert content(folder) == whole[1]
+
+
+# ----------------------------------------------------------------------------- in random rooms
+
+
+# Rooms that are made at once, and moves after every 500 steps.
+MOVES = """
+import scenes
+from scenes import generate
+from scenes.test_scenes import square_room
+from support import rooms
+generate.room = lambda seed: scenes.parse(
+    square_room(0.6 + seed % 7 / 10, training_targets=[[0.2, 0.0]], new_targets=[]),
+    f"random-{seed}")
+rooms.EVERY = 500
+rooms.VALIDATION_ROOMS = 2
+"""
+
+
+def begin_in_random_rooms(folder, processes):
+    """A short training into that folder whose robots move on several times."""
+    return start(folder, *SHORT, "--env", "random", "--robots", "16", "--workers", str(processes),
+                 "--out", str(folder), more=MOVES)
+
+
+@pytest.fixture(scope="module")
+def in_random_rooms(tmp_path_factory):
+    """Runs in random rooms that were never cut, by the number of processes."""
+    folders = {count: tmp_path_factory.mktemp("random") / f"run-{count}" for count in (1, 2)}
+    for count, folder in folders.items():
+        process = begin_in_random_rooms(folder, count)
+        assert process.wait(120) == 0, process.communicate()
+    return folders
+
+
+@pytest.mark.parametrize("processes, number", [(1, signal.SIGKILL), (2, signal.SIGINT)])
+def test_a_run_in_random_rooms_that_is_cut_goes_on_to_the_same_bytes(
+        in_random_rooms, tmp_path, processes, number):
+    folder = tmp_path / "run"
+    process = begin_in_random_rooms(folder, processes)
+    wait_for(lambda: updates(folder) >= 4, process)
+    os.killpg(process.pid, number)
+    process.communicate(timeout=60)
+    wait_for_the_end_of(process.pid)
+    rooms_before = rooms_of(folder)
+    go_on(folder, processes=processes, more=MOVES)
+    assert content(folder) == content(in_random_rooms[processes])
+    assert 8 < len(rooms_before) < len(rooms_of(folder)) - 3
+
+
+def rooms_of(folder):
+    """The names of the rooms that a run's episodes were driven in."""
+    with open(folder / "episodes.csv", newline="") as file:
+        return {row["scene"] for row in csv.DictReader(file)}
+
+
+def test_wrong_moves_of_a_checkpoint_are_one_sentence_and_make_no_more_rooms(in_random_rooms,
+                                                                             monkeypatch):
+    file = in_random_rooms[1] / checkpoints.LAST
+    config = config_of(in_random_rooms[1])
+    whole = checkpoints.read_torch_file(file, checkpoints.LARGEST)
+    moves = whole["state"]["rooms"]["moves"]
+    made = []
+    monkeypatch.setattr(generate, "room", lambda seed: made.append(seed) or ENV1)
+    monkeypatch.setattr(rooms, "EVERY", 500)
+    for wrong in [None, -1, True, 2.0, math.inf, "1", [], [1], {}, torch.zeros(1), 10 ** 40,
+                  10 ** 6, moves + 2]:
+        content = changed(whole, ("state", "rooms", "moves"), wrong)
+        monkeypatch.setattr(checkpoints, "read_torch_file", lambda *_: content)
+        with pytest.raises(RunError, match="checkpoint.pt' is no whole checkpoint of this run$"):
+            checkpoints.read(file, config, Training)
+        assert len(made) <= 2 * 15  # to compare with, and for what is read
+        made.clear()
+    monkeypatch.setattr(checkpoints, "read_torch_file", lambda *_: whole)
+    _, [state] = checkpoints.read(file, config, Training)
+    assert state["rooms"] == {"moves": moves} and moves >= 4
 
 
 # ------------------------------------------------------------------------- what is no number
@@ -515,7 +592,7 @@ def test_a_checkpoint_with_anything_wrong_in_it_is_one_sentence(finished, monkey
         for wrong in WRONG:
             try:
                 content = changed(whole, path, wrong)
-            except (TypeError, AttributeError, RuntimeError, ZeroDivisionError, IndexError):
+            except (TypeError, AttributeError, RuntimeError, ArithmeticError, LookupError):
                 continue  # not to be done to this value
             monkeypatch.setattr(checkpoints, "read_torch_file", lambda *_: content)
             try:

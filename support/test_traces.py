@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import scenes
-from navbot_min import OUTCOMES, NavEnv, NavVecEnv, TurnToTarget
+from navbot_min import OUTCOMES, NavEnv, NavVecEnv
 from sim import CONTROL_PERIOD
 from support import traces
-from support.traces import drive
+from support.traces import TurnToTarget, drive
 
 ENV1 = scenes.load("env1")
 

@@ -101,6 +101,22 @@ class Recording:
             images=None if self.images is None else np.array(self.images))
 
 
+class TurnToTarget:
+    """The demo's driver: turns to the target, and drives when it is ahead. Blind to walls."""
+
+    label = "turn to the target and go"
+
+    def reset(self, env, robots):
+        """Remembers nothing, so an episode's start changes nothing."""
+
+    def act(self, env, observations):
+        """Actions (R, 2) from what the robots see."""
+        bearing = observations["target"][:, 1]
+        linear = np.maximum(np.cos(bearing), 0)
+        angular = np.clip(2 * bearing, -1, 1)
+        return np.stack([linear, angular], -1)
+
+
 def drive(driver, env, quota, seed=0, images=False):
     """Drives until every robot has its quota of episodes; returns their Traces, in the order in
     which they end.
