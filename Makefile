@@ -32,6 +32,7 @@ results: .venv/installed
 # The figures and tables again, from what the results left.
 figures: .venv/installed
 	$(BIN)/python -m experiments.figures
+	$(BIN)/python -m experiments.level_figures
 	$(BIN)/python -m experiments.diagrams
 	$(BIN)/python -m experiments.tables
 

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments import level_tables
+from experiments.markdown import (markdown, mean_and_worst, percentages, select, with_interval,
+                                  worst_first)
 from support.command_line import CommandLine
 from support.pictures import read_table
 
@@ -49,47 +52,6 @@ PAPER = {  # success rates of the paper's one run in each room
 # -------------------------------------------------------------------------------------------- parts
 
 
-def markdown(header, rows):
-    """A markdown table of texts. Every row must have as many cells as the header."""
-    for row in rows:
-        if len(row) != len(header):
-            raise ValueError(f"row {row} has {len(row)} cells, the header has {len(header)}")
-    lines = [header, ["---"] * len(header), *rows]
-    lines = [[cell.replace("|", "\\|") for cell in line] for line in lines]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def select(rows, **wanted):
-    """The rows that have those values in those columns."""
-    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
-
-
-def percentages(rows, column):
-    """That column's fractions [%], one a row, in the rows' order."""
-    return [100 * float(row[column]) for row in rows]
-
-
-def mean_and_worst(values):
-    """The mean and the worst of percentages; one number where all are the same, - for none."""
-    if not values:
-        return "-"
-    if min(values) == max(values):
-        return f"{values[0]:.1f} %"
-    return f"{np.mean(values):.1f} % ({min(values):.1f} %)"
-
-
-def worst_first(values, form="{:.0f}"):
-    """Numbers in ascending order, and their mean in bold."""
-    each = ", ".join(form.format(value) for value in sorted(values))
-    return f"{each}: **{np.mean(values):.1f}**"
-
-
-def with_interval(row, name):
-    """A success rate [%] and its 95 % interval."""
-    success, low, high = (100 * float(row[f"{name}_{key}"]) for key in ("success", "low", "high"))
-    return f"{success:.1f} % [{low:.1f}, {high:.1f}]"
-
-
 def arrivals(row):
     """To how many targets the deterministic action drove: 11 of '11 of 12'."""
     return int(row["mean_action_arrives"].split()[0])
@@ -98,9 +60,10 @@ def arrivals(row):
 # ------------------------------------------------------------------------------------------- tables
 
 
-def summary_short(seeds):
-    """The README's four rows. seeds: rows of seeds.csv."""
-    header = ["success, mean of five seeds", "trained from one start pose", "trained from anywhere"]
+def summary_short(seeds, tests):
+    """The README's rows: both paper's rooms. seeds, tests: rows of seeds.csv and rooms.csv."""
+    header = ["mean success, trained:", "there, one start pose", "there, any start",
+              "in random rooms"]
     table = []
     for kind, name in (("new", "new targets"), ("anywhere", "from anywhere to anywhere")):
         for room in ROOMS:
@@ -108,7 +71,8 @@ def summary_short(seeds):
             for way in WAYS:
                 success = percentages(select(seeds, env=room, way=way), f"{kind}_success")
                 cells.append(f"{np.mean(success):.1f} %")
-            table.append(cells)
+            success = percentages(select(tests, way="any-room", room=room, targets=kind), "success")
+            table.append([*cells, f"{np.mean(success):.1f} %"])
     return markdown(header, table)
 
 
@@ -411,7 +375,7 @@ def clients(rows):
 
 
 TABLES = {  # marker: what makes the table, and the files in results/ that it is made from
-    "summary-short": (summary_short, ["seeds.csv"]),
+    "summary-short": (summary_short, ["seeds.csv", "rooms.csv"]),
     "summary": (summary, ["seeds.csv", "other-machine.csv", "floor.csv"]),
     "seeds": (seed_by_seed, ["seeds.csv"]),
     "hidden": (hidden_targets, ["hidden.csv", "seeds.csv"]),
@@ -425,7 +389,13 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "stops": (stops, [f"env1-seed{seed}.json" for seed in range(5)]),
     "peaks": (peaks, ["curves.csv"]),
     "released-learner": (released_learner, ["released_learner.csv"]),
-    "clients": (clients, ["clients.csv"])}
+    "clients": (clients, ["clients.csv"]),
+    "level1": (level_tables.level1, ["level1.csv"]),
+    "level3": (level_tables.level3, ["level3.csv", "rooms.csv"]),
+    "rooms-learnt": (level_tables.rooms_learnt, ["level3.csv", "rooms.csv"]),
+    "level3-ablations": (level_tables.level3_ablations, ["level3.csv", "rooms.csv"]),
+    "carry-over": (level_tables.carry_over, ["carry-over.csv"]),
+    "level3-planners": (level_tables.level3_planners, ["level3-planners.csv"])}
 
 
 # -------------------------------------------------------------------------------------------- pages

@@ -21,7 +21,7 @@ import pytest
 
 import train
 from evaluation.__main__ import read_command_line
-from experiments import benchmark, results, tables
+from experiments import benchmark, level2, results, runs, tables
 from model import Network
 from navbot_min import OUTCOMES
 from support.command_line import CommandLine
@@ -66,11 +66,15 @@ def test_the_table_of_seeds_has_every_run_worst_first_and_their_mean():
 
 
 def test_the_short_summary_has_four_rows_of_means():
-    table = cells(tables.summary_short(seed_rows(new_success=(1, 1, 1, 0.5, 1))))
+    tests = [{"way": way, "room": room, "targets": targets, "success": str(success)}
+             for room in tables.ROOMS for targets in ("anywhere", "training", "new")
+             for way, success in (("any-room", 0.6), ("any-room", 0.8), ("rooms-4", 0))]
+    table = cells(tables.summary_short(seed_rows(new_success=(1, 1, 1, 0.5, 1)), tests))
     assert [row[0] for row in table] == [
         "env1, new targets", "env2, new targets",
         "env1, from anywhere to anywhere", "env2, from anywhere to anywhere"]
-    assert [row[1:] for row in table] == [["90.0 %"] * 2] * 2 + [["50.0 %"] * 2] * 2
+    assert [row[1:] for row in table] == [
+        ["90.0 %", "90.0 %", "70.0 %"]] * 2 + [["50.0 %", "50.0 %", "70.0 %"]] * 2
 
 
 def test_the_summary_weighs_seeds_alike_and_says_where_there_is_no_number():
@@ -218,7 +222,7 @@ def test_the_tables_of_a_page_are_those_of_the_results(page):
 
 
 def fake_call(calls, fail_at=None):
-    """A stand-in for `results.call`, which writes what the program would: it notes the calls and
+    """A stand-in for `runs.call`, which writes what the program would: it notes the calls and
     raises at the one with that number."""
     def call(*arguments):
         if len(calls) == fail_at:
@@ -230,28 +234,29 @@ def fake_call(calls, fail_at=None):
             (folder / "summary.json").write_text(json.dumps({"frozen": {}}))
             return
         name = "evaluation"
-        for flag in ("--protocol", "--hide"):
+        for flag in ("--env", "--protocol", "--hide"):
             if flag in arguments:
-                hidden = "hidden-" if flag == "--hide" else ""
-                name += f"-{hidden}{arguments[arguments.index(flag) + 1]}"
+                value = arguments[arguments.index(flag) + 1]
+                if value != "start" or "level3" in str(arguments[2]):
+                    name += f"-hidden-{value}" if flag == "--hide" else f"-{value}"
         (arguments[2] / f"{name}.json").write_text("{}")
     return call
 
 
 def test_interrupted_results_go_on_where_they_were_and_make_nothing_twice(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "RUNS", tmp_path)
-    run = results.Run("env1", "varied", 3)
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
+    run = level2.Run("env1", "varied", 3)
     run.folder.mkdir()  # of a training that was cut before it began
     (run.folder / "summary.json").write_text('{"frozen": null}')
     calls = []
-    monkeypatch.setattr(results, "call", fake_call(calls, fail_at=3))
+    monkeypatch.setattr(runs, "call", fake_call(calls, fail_at=3))
     with pytest.raises(InterruptedError):
         run.make()
-    monkeypatch.setattr(results, "call", fake_call(calls))
+    monkeypatch.setattr(runs, "call", fake_call(calls))
     run.make()
-    assert len(calls) == 6 and len({tuple(call) for call in calls}) == 6
+    assert len(calls) == 11 and len({tuple(call) for call in calls}) == 11
     run.make()
-    assert len(calls) == 6
+    assert len(calls) == 11
 
 
 def test_results_pass_a_signal_on_and_say_how_to_go_on(tmp_path):
@@ -260,9 +265,9 @@ def test_results_pass_a_signal_on_and_say_how_to_go_on(tmp_path):
                      "def save(*_):\n    pathlib.Path('saved').touch()\n    sys.exit(130)\n"
                      "signal.signal(signal.SIGINT, save)\n"
                      "pathlib.Path('ready').touch()\ntime.sleep(60)\n")
-    program = ("from experiments import results\nfrom pathlib import Path\n"
-               f"results.ROOT = results.RUNS = Path({str(tmp_path)!r})\n"
-               "results.Run.make = lambda run: results.call('waits.py')\n"
+    program = ("from experiments import results, runs\nfrom pathlib import Path\n"
+               f"runs.ROOT = runs.RUNS = Path({str(tmp_path)!r})\n"
+               "runs.Run.make = lambda run: runs.call('waits.py')\n"
                "results.main(['--jobs', '1'])")
     process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.DEVNULL,
                                stderr=subprocess.PIPE, text=True)
@@ -277,12 +282,12 @@ def test_results_pass_a_signal_on_and_say_how_to_go_on(tmp_path):
 
 
 def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "RUNS", tmp_path)
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
     calls = []
-    monkeypatch.setattr(results, "call", fake_call(calls))
-    for env in results.BUDGET:
-        for way in results.WAYS | results.ABLATIONS:
-            results.Run(env, way, 2).make()
+    monkeypatch.setattr(runs, "call", fake_call(calls))
+    everything = results.wanted_runs(results.Options(ablations=True))
+    for run in everything:
+        run.make()
     configs = {}
     for call in calls:
         if call[0] == "train.py":
@@ -291,16 +296,20 @@ def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
         else:
             assert call[:2] == ["-m", "evaluation"]
             read_command_line(call[2:])
-    assert len(configs) == 16 and len(calls) == 16 + 4 * 5 + 12 * 1
-    assert all(config.fixed_budget and config.seed == 2 for config in configs.values())
-    one_start = configs["env2-one-start-seed2"]
+    assert len(configs) == len(everything) == 10 + 20 + 36 + 36
+    assert all(config.fixed_budget and config.workers == 1 for config in configs.values())
+    assert all(int(name[-1]) == config.seed for name, config in configs.items())
+    one_start = configs["level2-env2-one-start-seed2"]
     assert (one_start.steps, one_start.random_starts, one_start.mirrored) == (400_000, 0, 0)
-    assert configs["env1-no-last-seed2"].without == "last"
+    assert configs["level2-env1-no-last-seed2"].without == "last"
+    assert configs["level1-maze0-seed4"].targets == "memorize"
+    assert configs["level3-rooms-16-seed1"].rooms == 16
+    assert {config.env for name, config in configs.items() if "level3" in name} == {"random"}
 
 
 def test_a_runs_rows_have_the_columns_of_the_published_tables(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "RUNS", tmp_path)
-    run = results.Run("env1", "varied", 0)
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
+    run = level2.Run("env1", "varied", 0)
     run.folder.mkdir()
     rate = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "timeout": 0.25,
             "spl": 0.12345, "seconds_to_arrive": None}
@@ -312,8 +321,8 @@ def test_a_runs_rows_have_the_columns_of_the_published_tables(tmp_path, monkeypa
                           ("evaluation-validation", frozen), ("evaluation-hidden-place", frozen),
                           ("evaluation-hidden-cube", frozen), ("evaluation-hidden-both", frozen)):
         (run.folder / f"{name}.json").write_text(json.dumps(content))
-    made = {"seeds": [results.seed_row(run)], "ablations": [results.seed_row(run)],
-            "hidden": results.hidden_rows(run), "floor": results.floor_rows(run)}
+    made = {"seeds": [level2.seed_row(run)], "ablations": [level2.seed_row(run)],
+            "hidden": level2.hidden_rows(run), "floor": level2.floor_rows(run)}
     for name, rows in made.items():
         published = tables.read_table(ROOT / "results" / f"{name}.csv")
         assert all(list(row) == list(published[0]) for row in rows), name
@@ -325,8 +334,8 @@ def test_a_runs_rows_have_the_columns_of_the_published_tables(tmp_path, monkeypa
 
 
 def test_a_curves_points_are_means_over_the_last_100_episodes_of_a_kind(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "RUNS", tmp_path)
-    run = results.Run("env1", "varied", 7)
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
+    run = level2.Run("env1", "varied", 7)
     run.folder.mkdir()
     rng = np.random.default_rng(0)
     rows = [{"steps": 10 * k, "kind": str(rng.choice(["training", "new"])),
@@ -334,7 +343,7 @@ def test_a_curves_points_are_means_over_the_last_100_episodes_of_a_kind(tmp_path
     with open(run.folder / "episodes.csv", "w", newline="") as file:
         csv.DictWriter(file, rows[0]).writeheader()
         csv.DictWriter(file, rows[0]).writerows(rows)
-    points = results.curve_rows(run)
+    points = level2.curve_rows(run)
     assert {point["episodes"] for point in points} == {100, 150, 200}
     for point in points:
         last = [row for row in rows if row["kind"] == point["kind"]][:point["episodes"]][-100:]
@@ -345,34 +354,34 @@ def test_a_curves_points_are_means_over_the_last_100_episodes_of_a_kind(tmp_path
 
 
 def test_a_planners_row_has_the_columns_of_the_published_table():
-    row = results.planner_row("env1", "random")
+    row = level2.planner_row("env1", "random")
     published = tables.read_table(ROOT / "results" / "planners.csv")
     assert list(row) == list(published[0])
     assert (row["start_n"], row["anywhere_n"]) == (3, 50)
 
 
 def test_what_is_to_do_is_said_in_the_minutes_that_it_took(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "RUNS", tmp_path / "runs")
-    monkeypatch.setattr(results, "RESULTS", tmp_path)
-    runs = [results.Run("env1", "varied", seed) for seed in (0, 1, 2)]
-    rows = [run.names | {"seconds": seconds} for run, seconds in zip(runs, (6000, 240, 480))]
-    results.write_table("seeds.csv", rows[:2])
-    results.write_table("ablations.csv", rows[2:])
-    runs[0].folder.mkdir(parents=True)
-    (runs[0].folder / "summary.json").write_text('{"frozen": {}}')
-    assert results.expected(runs, 3).startswith(
+    monkeypatch.setattr(runs, "RUNS", tmp_path / "runs")
+    monkeypatch.setattr(runs, "RESULTS", tmp_path)
+    three = [level2.Run("env1", "varied", seed) for seed in (0, 1, 2)]
+    rows = [run.names | {"seconds": seconds} for run, seconds in zip(three, (6000, 240, 480))]
+    runs.write_table("seeds.csv", rows[:2])
+    runs.write_table("ablations.csv", rows[2:])
+    three[0].folder.mkdir(parents=True)
+    (three[0].folder / "summary.json").write_text('{"frozen": {}}')
+    assert runs.expected(three, 3).startswith(
         "2 of 3 runs are to be trained, which takes about 4 minutes, 3 at a time")
 
 
 def test_a_run_that_fails_is_one_line_and_no_other_is_begun(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, "RUNS", tmp_path)
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
     begun = []
 
     def call(*arguments):
         begun.append(arguments)
         raise subprocess.CalledProcessError(2, ["python", "train.py"], stderr=b"x\nerror: full\n")
 
-    monkeypatch.setattr(results, "call", call)
+    monkeypatch.setattr(runs, "call", call)
     with pytest.raises(SystemExit) as stop:
         results.main(["--jobs", "1"])
     assert stop.value.code == 2 and len(begun) == 1

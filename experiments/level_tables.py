@@ -1,0 +1,99 @@
+"""The tables of levels 1 and 3, made from the files in `results/`; `experiments.tables` writes them
+into the pages."""
+
+import numpy as np
+
+from experiments.level3 import ROOMS, TEST_ROOMS, VALIDATION
+from experiments.markdown import (markdown, percentages, select, with_interval,
+                                  worst_first)
+
+NETWORKS = {  # column `way` of level3.csv
+    "rooms-0": "as it is",
+    "single": "one LSTM (`single`)",
+    "none": "no memory (`none`)",
+    "blind": "no camera image (`blind`)",
+    "no-target": "no target position (`no-target`)",
+    "no-last": "no last velocity and reward (`no-last`)"}
+
+
+def level1(rows):
+    """Level 1, seed by seed. rows: of level1.csv."""
+    header = ["room", "seed", "steps until 81 of 100", "success from the start poses",
+              "success, start and target moved", "SPL, moved"]
+    table = []
+    for room in sorted({row["env"] for row in rows}):
+        here = sorted(select(rows, env=room), key=lambda row: float(row["perturbed_success"]))
+        for row in here:
+            steps = f"{int(row['steps_to_stop']):,}" if row["steps_to_stop"] else "never"
+            table.append([room, row["seed"], steps, with_interval(row, "start"),
+                          with_interval(row, "perturbed"), f"{float(row['perturbed_spl']):.2f}"])
+    return markdown(header, table)
+
+
+def level3(runs, tests):
+    """Level 3, seed by seed, room by room. runs, tests: rows of level3.csv and rooms.csv."""
+    header = ["seed", *TEST_ROOMS, "mean of these", "SPL", "random rooms, validation",
+              "hours on one core"]
+    table = []
+    for run in select(runs, way="any-room"):
+        here = select(tests, way="any-room", seed=run["seed"], targets="anywhere")
+        success = percentages(here, "success")
+        table.append([run["seed"], *map(with_interval, here), f"**{np.mean(success):.1f} %**",
+                      f"{np.mean([float(row['spl']) for row in here]):.2f}",
+                      with_interval(run, VALIDATION), f"{float(run['seconds']) / 3600:.1f}"])
+    return markdown(header, table)
+
+
+def of_seeds(runs, tests, way):
+    """Success [%] of each seed of a way: in the rooms it learnt in, in random rooms it did not, and
+    in the test rooms."""
+    chosen = select(runs, way=way)
+    tests = select(tests, way=way, targets="anywhere")
+    released = [np.mean(percentages(select(tests, seed=run["seed"]), "success"))
+                for run in chosen]
+    return (percentages(chosen, "training_success"), percentages(chosen, f"{VALIDATION}_success"),
+            released)
+
+
+def rooms_learnt(runs, tests):
+    """Success against the number of rooms learnt in. runs, tests: rows of level3.csv, rooms.csv."""
+    header = ["rooms learnt in", "success there", "random rooms never seen", "test rooms"]
+    table = []
+    for rooms in ROOMS:
+        each = of_seeds(runs, tests, f"rooms-{rooms}")
+        table.append([str(rooms) if rooms else "ever new ones", *map(worst_first, each)])
+    return markdown(header, table)
+
+
+def level3_ablations(runs, tests):
+    """The ablations at level 3. runs, tests: rows of level3.csv and rooms.csv."""
+    header = ["network", "random rooms never seen", "test rooms"]
+    table = []
+    for way, name in NETWORKS.items():
+        _, unseen, released = of_seeds(runs, tests, way)
+        table.append([name, worst_first(unseen), worst_first(released)])
+    return markdown(header, table)
+
+
+def carry_over(rows):
+    """What level-2 policies do in rooms they never saw. rows: of carry-over.csv."""
+    header = ["trained in", "drives in", "to", "success of each seed"]
+    names = {"training": "its training targets", "new": "its new targets",
+             "anywhere": "any place, from anywhere"}
+    table = []
+    for key in dict.fromkeys((row["env"], row["room"], row["targets"]) for row in rows):
+        env, room, targets = key
+        chosen = select(rows, env=env, room=room, targets=targets)
+        table.append([env, room, names[targets], worst_first(percentages(chosen, "success"))])
+    return markdown(header, table)
+
+
+def level3_planners(rows):
+    """The planners in the same rooms. rows: of level3-planners.csv."""
+    rooms = (*TEST_ROOMS, VALIDATION)
+    table = []
+    for planner in dict.fromkeys(row["planner"] for row in rows):
+        here = {row["room"]: row for row in select(rows, planner=planner)}
+        table.append([planner] + [f"{100 * float(here[room]['success']):.0f} %, SPL "
+                                  f"{float(here[room]['spl']):.2f}" for room in rooms])
+    return markdown(["planner", *rooms], table)
