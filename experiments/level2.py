@@ -12,7 +12,7 @@ from evaluation.examine import evaluate
 from evaluation.measures import summarise
 from evaluation.planners import PLANNERS
 from experiments import runs
-from experiments.runs import OUTCOMES, rounded, write_table
+from experiments.runs import OUTCOMES, examined_rows, rounded, write_table
 from support.pictures import read_table
 
 BUDGET = {"env1": 250_000, "env2": 400_000}  # steps, new targets' included
@@ -168,11 +168,7 @@ def carry_over_rows(run):
     rows = []
     for room, protocol in other_rooms(run.env):
         suffix = "" if protocol == "start" else f"-{protocol}"
-        result = run.read(f"evaluation-{room}{suffix}.json")
-        for kind in ("training", "new", "anywhere"):
-            if result.get(kind) is not None:
-                rows.append(run.names | {"room": room, "targets": kind}
-                            | rounded(result[kind], ("n", *OUTCOMES, "spl")))
+        rows += examined_rows(run, room, f"evaluation-{room}{suffix}.json")
     return rows
 
 

@@ -9,7 +9,7 @@ from evaluation.drivers import Planned
 from evaluation.examine import evaluate
 from evaluation.planners import PLANNERS
 from experiments import level2, runs
-from experiments.runs import OUTCOMES, rounded, write_table
+from experiments.runs import OUTCOMES, examined_rows, rounded, write_table
 from support.rooms import RANDOM, validation_scenes
 
 PAPER_ROOMS = tuple(level2.BUDGET)  # with the paper's training and new targets
@@ -80,12 +80,8 @@ def test_rows(run):
     targets, one for each kind of these."""
     rows = []
     for file in run.examinations:
-        room = file.removesuffix(".json").split("-")[1]
-        result = run.read(file)
-        for targets in ("anywhere", "training", "new"):
-            if result.get(targets) is not None:
-                rows.append(run.names | {"room": room, "targets": targets}
-                            | rounded(result[targets], ("n", *OUTCOMES, "spl")))
+        _, room, _ = file.split("-")  # evaluation-env1-anywhere.json
+        rows += examined_rows(run, room, file)
     return rows
 
 

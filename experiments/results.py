@@ -49,9 +49,10 @@ def main(argv=None):
     interruption.handle("interrupted: the runs under way are saved; the same command goes on")
     for folder in (runs.RUNS, runs.RESULTS):
         parser.must_write_to(folder)
-    if options.level and (options.ablations or options.planners):
-        parser.error(f"--level is {options.level}, with --ablations or --planners it must be left "
-                     "out")
+    if options.planners and options.level:
+        parser.error(f"--level is {options.level}, with --planners it must be left out")
+    if options.ablations and options.level not in (0, 2):
+        parser.error(f"--level is {options.level}, with --ablations it must be 2 or left out")
     try:
         if options.planners:
             level2.write_planners()
@@ -61,7 +62,7 @@ def main(argv=None):
             print(runs.expected(wanted, options.jobs), flush=True)
             runs.make_runs(wanted, options.jobs)
             write_tables(options)
-            if options.level != 3:
+            if options.level in (0, 2):
                 figures.main([])
             if options.level in (0, 3):
                 level_figures.main([])

@@ -114,6 +114,15 @@ def make_runs(runs, jobs):
         pool.shutdown(cancel_futures=True)
 
 
+def examined_rows(run, room, file):
+    """What an examination of a run in a room found, as rows of a table: one for each kind of
+    targets. file: of its JSON files."""
+    result = run.read(file)
+    return [run.names | {"room": room, "targets": targets}
+            | rounded(result[targets], ("n", *OUTCOMES, "spl"))
+            for targets in ("training", "new", "anywhere") if result.get(targets) is not None]
+
+
 def rounded(result, keys, prefix=""):
     """Those values of an evaluation as columns of a table."""
     return {prefix + key: round(result[key], 4) for key in keys}

@@ -3,7 +3,7 @@
 They are to be as difficult as the released ones. So they have their size, their boxes and their
 passages, and as many lines of sight blocked. `python -m scenes random:7` draws one.
 
-Axis letters: B boxes, P points, L lines.
+Axis letters: X, Y cells of a grid, L = LINES straight lines.
 """
 
 import copy
@@ -24,6 +24,8 @@ WIDTHS = (2.7, 3.3)  # [m] 3.0
 BRICKS = (1.1, 2.2)  # [m] lengths; 1.15 to 1.73
 BRICK_SHARE = 0.6  # of the obstacles; 12 of 22
 BLOCKED = (0.35, 0.85)  # share of lines that obstacles block, drawn first; 0.41 to 0.83
+OVER = 0.05  # of that share, by which a room may come out above what was drawn
+JOINED = 0.4  # of the bricks meet another one, and of the others, so many a wall
 CLOSED = 0.3  # [m] gaps up to it are no passages; the robot needs 0.36
 NARROWEST = 0.42  # [m] passages; 0.41 in maze 4
 MOST_OBSTACLES = 8  # 4 or 5
@@ -53,7 +55,8 @@ def room(seed):
 
 
 def furnished(rng):
-    """The boxes of a room, or None where no place was found for enough of them."""
+    """The boxes of a room, or None where no place was found for enough of them. Boxes are put
+    somewhere one after the other, and each that would make it worse is taken away again."""
     length = rng.uniform(*LENGTHS)
     width = rng.uniform(*WIDTHS)
     wanted = rng.uniform(*BLOCKED)
@@ -65,7 +68,7 @@ def furnished(rng):
         if not has_clear_gaps([*plan.boxes, box], joined):
             continue
         more = plan.with_box(box)
-        if more.share_blocked > wanted + 0.05 or not more.is_connected():
+        if more.share_blocked > wanted + OVER or not more.is_connected():
             continue
         plan = more
         material = drawn_material(rng)  # after one that fits: what fits seldom is not rarer for it
@@ -83,10 +86,10 @@ class Plan:
         low, high = scene.bounds
         x, y = [np.arange(a, b, GRID) for a, b in zip(low, high)]
         self.grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
-        self.ends = rng.uniform(low, high, (2, LINES, 2))  # of straight lines
+        self.ends = rng.uniform(low, high, (2, LINES, 2))  # (2, L, 2) [m] of straight lines
         self.boxes = boxes
         self.clearance = scene.clearance(self.grid)  # (X, Y) [m]
-        self.room = scene.clearance(self.ends)  # (2, LINES) [m]
+        self.room = scene.clearance(self.ends)  # (2, L) [m] at both ends
         self.blocked = np.zeros(LINES, bool)
 
     def with_box(self, box):
@@ -141,10 +144,10 @@ def obstacle(rng, material, boxes, length, width, right_angles):
     joined = None
     brick = rng.uniform(*BRICKS)
     others = [box for box in boxes if box.material == "brick"]
-    if others and rng.random() < 0.4:  # an L or a T
+    if others and rng.random() < JOINED:  # an L or a T
         joined = others[rng.integers(len(others))]
         along = rng.choice((-0.5, 0.0, 0.5)) * (joined.length - joined.thickness)
-    elif rng.random() < 0.4:  # from a wall into the room
+    elif rng.random() < JOINED:  # from a wall into the room
         joined = boxes[rng.integers(4)]
         along = rng.uniform(-0.5, 0.5) * joined.length
     if joined is not None:

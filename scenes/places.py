@@ -40,13 +40,6 @@ def complete(name, boxes, start=None):
                    new_targets=tuple(targets[training:]))
 
 
-def free_floor(scene):
-    """The centres (X, Y, 2) [m] of a grid's cells, how far each is from the boxes (X, Y) [m], and
-    which of them are inside the room and have room for the robot's disc, (X, Y) bool."""
-    grid, inside = floor(scene)
-    return grid, scene.clearance(grid), inside
-
-
 def floor(scene):
     """The centres (X, Y, 2) [m] of a grid's cells, and which of them are inside the room and have
     room for the robot's disc, (X, Y) bool."""

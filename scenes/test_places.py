@@ -8,7 +8,7 @@ import pytest
 
 import scenes
 from scenes.generate import room as random_room
-from scenes.places import APART, GRID, MARGIN, are_clear, complete, free_floor
+from scenes.places import APART, GRID, MARGIN, are_clear, complete, floor
 from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS, Box, Scene, SceneError
 
 
@@ -66,8 +66,9 @@ def test_the_start_is_the_freest_place(boxes, monkeypatch):
     monkeypatch.setattr(scenes.places, "SAMPLE", 20)  # as few as in the largest rooms
     start = complete("room", boxes).start
     scene = Scene("room", tuple(boxes), start, (), ())
-    _, clearance, inside = free_floor(scene)
-    assert scene.clearance(start[:2]) == pytest.approx(clearance[inside].max(), abs=3e-6)
+    grid, inside = floor(scene)
+    farthest = scene.clearance(grid[inside]).max()
+    assert scene.clearance(start[:2]) == pytest.approx(farthest, abs=3e-6)
     assert start[2] == 0
 
 

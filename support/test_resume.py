@@ -107,13 +107,19 @@ def content(folder):
     return files
 
 
+def run_whole(place, begin_one):
+    """The folders of whole runs, by the number of processes. begin_one: begins such a run."""
+    folders = {count: place / f"run-{count}" for count in (1, 2)}
+    for count, folder in folders.items():
+        process = begin_one(folder, count)
+        assert process.wait(120) == 0, process.communicate()
+    return folders
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """What runs hold that were never cut, by the number of processes."""
-    folders = {count: tmp_path_factory.mktemp("whole") / f"run-{count}" for count in (1, 2)}
-    for count, folder in folders.items():
-        process = begin(folder, count)
-        assert process.wait(120) == 0, process.communicate()
+    folders = run_whole(tmp_path_factory.mktemp("whole"), begin)
     return {count: content(folder) for count, folder in folders.items()}
 
 
@@ -297,11 +303,7 @@ def begin_in_random_rooms(folder, processes):
 @pytest.fixture(scope="module")
 def in_random_rooms(tmp_path_factory):
     """Runs in random rooms that were never cut, by the number of processes."""
-    folders = {count: tmp_path_factory.mktemp("random") / f"run-{count}" for count in (1, 2)}
-    for count, folder in folders.items():
-        process = begin_in_random_rooms(folder, count)
-        assert process.wait(120) == 0, process.communicate()
-    return folders
+    return run_whole(tmp_path_factory.mktemp("random"), begin_in_random_rooms)
 
 
 @pytest.mark.parametrize("processes, number", [(1, signal.SIGKILL), (2, signal.SIGINT)])
