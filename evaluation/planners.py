@@ -229,10 +229,12 @@ class DStar(Planner):
     its neighbours' g now. Where the two differ, s is inconsistent: something around it has changed,
     and it waits in the queue. The search settles waiting cells, those nearest first, until the
     robot's own cell is consistent. New walls only put the cells around them back into the queue.
+    Where it finds no way it drives straight at the goal.
     """
 
     senses = True
     CELL = 0.06  # [m]
+    DETOUR = 5.0  # [m] a way longer than the straight line by more than that is not looked for
 
     def begin(self, pose, goal):
         super().begin(pose, goal)
@@ -244,6 +246,9 @@ class DStar(Planner):
         self.target = self._cell(goal)
         self.start = self._cell(pose[:2])  # where the robot is
         self.last = self.start  # where it was when `km` last grew
+        # Where no way leads to the goal, a search in a plane without an end would have none either.
+        self.begun = self.start  # where the robot began
+        self.longest = math.dist(self.start, self.target) + self.DETOUR / self.CELL  # way [cells]
         self.rhs[self.target] = 0.0
         heapq.heappush(self.queue, (self._key(self.target), self.target))
 
@@ -305,6 +310,8 @@ class DStar(Planner):
             heapq.heappop(self.queue)
             if self.g[s] == self.rhs[s]:
                 continue  # a later entry has settled this cell
+            if math.dist(self.begun, s) + math.dist(s, self.target) > self.longest:
+                continue  # any way over it is too long
             if old < self._key(s):  # its key has risen since: the cell waits longer
                 heapq.heappush(self.queue, (self._key(s), s))
                 continue
@@ -319,7 +326,7 @@ class DStar(Planner):
 
     def _new_walls(self, pose, readings):
         """The cells, not blocked so far, whose centre is nearer to a wall that the readings meet
-        than the robot's radius and a margin. Never the robot's own cell."""
+        than the robot's radius and a margin. Never the robot's own cell, nor that of the goal."""
         way = pose[2] + ANGLES
         ends = pose[:2] + readings[:, None] * np.stack([np.cos(way), np.sin(way)], -1)
         hit = readings < RANGE - 1e-6
@@ -332,7 +339,7 @@ class DStar(Planner):
                     distance = math.dist((a * self.CELL, b * self.CELL), end)
                     if distance < ROBOT_RADIUS + MARGIN and (a, b) not in self.blocked:
                         new.add((a, b))
-        return new - {self.start}
+        return new - {self.start, self.target}
 
 
 def room_ahead(readings, direction):

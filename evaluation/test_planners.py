@@ -8,7 +8,7 @@ import pytest
 
 import scenes
 from evaluation import Planned, assign, evaluate, rollouts
-from evaluation.planners import ANGLES, PRM, RANGE, Bug, DStar, visibility_graph
+from evaluation.planners import ANGLES, MARGIN, PRM, RANGE, Bug, DStar, visibility_graph
 from scenes.test_scenes import box, square_room
 from sim import ROBOT_RADIUS, World
 from support.ranges import range_readings
@@ -106,6 +106,45 @@ def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
         assert planner.g[planner.start] == pytest.approx(scratch)
         costs.append(scratch)
     assert max(np.diff(costs)) > 5  # [cells] that the second wall added
+
+
+def test_d_star_gives_up_where_it_finds_no_way():
+    """Walls all around the robot, as far as it knows: its search from the goal ends all the same,
+    and it drives straight at the goal."""
+    class Limited(DStar):
+        """Whose search fails where it would go on for ever."""
+        left = 200_000
+
+        def _update(self, s):
+            self.left -= 1
+            assert self.left > 0
+            super()._update(s)
+    planner = Limited(None, None, None)
+    planner.begin(np.zeros(3), (1.0, 0.0))
+    ring = range(-8, 9)
+    planner.blocked = {(i, j) for i in ring for j in ring if max(abs(i), abs(j)) == 8}
+    v, w = planner.act(np.zeros(3), np.full(len(ANGLES), RANGE))
+    assert planner.g[planner.start] == math.inf
+    assert v > 0 and w == 0
+
+
+def test_d_star_reaches_a_goal_beside_a_wall():
+    """Nearer to it than the margin that it keeps from walls, and behind a box."""
+    table = square_room(half=1.0, extra=[box(x=0.2, y=0.0, length=0.2, thickness=0.8)],
+                        start=dict(x=-0.5, y=0.0, heading_degrees=90),
+                        training_targets=[[0.81, 0.3]], new_targets=[])
+    room = scenes.parse(table, "room")
+    assert 0 < room.clearance(room.targets[0]) - ROBOT_RADIUS < MARGIN
+    result, _ = evaluate(Planned("dstar", 0), [room], 1)
+    assert result["training"]["success"] == 1
+
+
+def test_d_star_takes_a_way_that_is_3_m_longer_than_the_line():
+    wall = box(x=0.0, y=-1.0, length=0.1, thickness=2.0)
+    table = square_room(half=2.0, extra=[wall], start=dict(x=-0.5, y=-1.7, heading_degrees=0),
+                        training_targets=[[0.5, -1.7]], new_targets=[])
+    result, [trace] = evaluate(Planned("dstar", 0), [scenes.parse(table, "room")], 1)
+    assert result["training"]["success"] == 1 and trace.metres > 4
 
 
 def test_bug_drives_an_arc_that_ends_at_its_next_point():
