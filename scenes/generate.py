@@ -23,9 +23,9 @@ LENGTHS = (4.6, 5.4)  # [m] outer sides of a room; 5.0
 WIDTHS = (2.7, 3.3)  # [m] 3.0
 BRICKS = (1.1, 2.2)  # [m] lengths; 1.15 to 1.73
 BRICK_SHARE = 0.6  # of the obstacles; 12 of 22
-BLOCKED = (0.35, 0.85)  # share of lines that obstacles block, drawn first; 0.41 to 0.83
-OVER = 0.05  # of that share, by which a room may come out above what was drawn
-JOINED = 0.4  # of the bricks meet another one, and of the others, so many a wall
+BLOCKED = (0.35, 0.85)  # share of lines that obstacles are to block, drawn first; 0.41 to 0.83
+NEAR = 0.05  # to the share that was drawn is a room's own
+JOINED = 0.4  # share of the bricks that meet another one; of the rest, share that touches a wall
 CLOSED = 0.3  # [m] gaps up to it are no passages; the robot needs 0.36
 NARROWEST = 0.42  # [m] passages; 0.41 in maze 4
 MOST_OBSTACLES = 8  # 4 or 5
@@ -48,18 +48,19 @@ def seed_of(name):
 def room(seed):
     """The Scene `random:SEED`."""
     rng = np.random.default_rng(seed)
+    wanted = rng.uniform(*BLOCKED)
     while True:
-        boxes = furnished(rng)
-        if boxes is not None:
-            return complete(f"random-{seed}", boxes)
+        plan = furnished(rng, wanted)
+        if plan.share_blocked >= wanted - NEAR:  # else no place was found for enough boxes
+            return complete(f"random-{seed}", plan.boxes)
 
 
-def furnished(rng):
-    """The boxes of a room, or None where no place was found for enough of them. Boxes are put
-    somewhere one after the other, and each that would make it worse is taken away again."""
+def furnished(rng, wanted):
+    """The Plan of a room that is to have that share of lines blocked. Boxes are tried one after the
+    other, and one is kept if the gaps around it are clear, not too many lines are blocked then, and
+    the robot can still drive from everywhere to everywhere."""
     length = rng.uniform(*LENGTHS)
     width = rng.uniform(*WIDTHS)
-    wanted = rng.uniform(*BLOCKED)
     right_angles = rng.random() < 0.5
     plan = Plan(walls(length, width), rng)
     material = drawn_material(rng)
@@ -68,13 +69,14 @@ def furnished(rng):
         if not has_clear_gaps([*plan.boxes, box], joined):
             continue
         more = plan.with_box(box)
-        if more.share_blocked > wanted + OVER or not more.is_connected():
+        if more.share_blocked > wanted + NEAR or not more.is_connected():
             continue
         plan = more
-        material = drawn_material(rng)  # after one that fits: what fits seldom is not rarer for it
+        # Drawn after a success alone: else bricks, which fit less often, would become rarer.
+        material = drawn_material(rng)
         if plan.share_blocked >= wanted or len(plan.boxes) == 4 + MOST_OBSTACLES:
             break
-    return plan.boxes if plan.share_blocked >= BLOCKED[0] else None
+    return plan
 
 
 class Plan:
@@ -88,8 +90,8 @@ class Plan:
         self.grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
         self.ends = rng.uniform(low, high, (2, LINES, 2))  # (2, L, 2) [m] of straight lines
         self.boxes = boxes
-        self.clearance = scene.clearance(self.grid)  # (X, Y) [m]
-        self.room = scene.clearance(self.ends)  # (2, L) [m] at both ends
+        self.grid_clearance = scene.clearance(self.grid)  # (X, Y) [m]
+        self.end_clearance = scene.clearance(self.ends)  # (2, L) [m]
         self.blocked = np.zeros(LINES, bool)
 
     def with_box(self, box):
@@ -97,8 +99,8 @@ class Plan:
         more = copy.copy(self)
         scene = as_scene([box])
         more.boxes = [*self.boxes, box]
-        more.clearance = np.minimum(self.clearance, scene.clearance(self.grid))
-        more.room = np.minimum(self.room, scene.clearance(self.ends))
+        more.grid_clearance = np.minimum(self.grid_clearance, scene.clearance(self.grid))
+        more.end_clearance = np.minimum(self.end_clearance, scene.clearance(self.ends))
         more.blocked = self.blocked | are_blocked([box], *self.ends)
         return more
 
@@ -107,14 +109,15 @@ class Plan:
         """The share of the straight lines between two places, where the robot fits and 1 m or more
         apart, that a box blocks."""
         apart = np.hypot(*(self.ends[1] - self.ends[0]).T) >= FAR_ENOUGH
-        counts = apart & (self.room > ROBOT_RADIUS).all(0)
+        counts = apart & (self.end_clearance > ROBOT_RADIUS).all(0)
         return float(self.blocked[counts].mean()) if counts.any() else 1.0
 
     def is_connected(self):
         """Whether the robot can drive from nearly everywhere to nearly everywhere."""
-        free = self.clearance > ROBOT_RADIUS
-        freest = self.clearance == self.clearance.max()
-        return flood(free, freest).sum() >= CONNECTED * free.sum() > 0
+        free = self.grid_clearance > ROBOT_RADIUS
+        freest = self.grid_clearance == self.grid_clearance.max()
+        reached = flood(free, freest).sum()
+        return 0 < CONNECTED * free.sum() <= reached
 
 
 def walls(length, width):
@@ -182,7 +185,9 @@ def has_clear_gaps(boxes, joined):
 
 
 def are_blocked(boxes, begin, end):
-    """Which of the straight lines (L,) from begin (L, 2) to end (L, 2) meet a box."""
+    """Which of the straight lines (L,) from begin (L, 2) to end (L, 2) meet a box: those that are
+    inside both of its pairs of faces at one place, after they have entered the one pair and the
+    other, and before they have left either."""
     blocked = np.zeros(len(begin), bool)
     for box in boxes:
         c = math.cos(box.yaw)

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 
 from scenes.limits import shown_path
-from support import rooms
 from support.interruption import interruption
 from support.processes import OneProcess, torchrun_rank
 from support.run_folder import RunError
@@ -199,7 +198,7 @@ def check_tensor(tensor, dtype, shape):
 def check_state(training):
     """Checks numbers that are used as an index, and that robots moved no sooner than it was time.
     Raises ValueError."""
-    if training.rooms.moves * rooms.EVERY > training.record.steps:
+    if training.rooms.moves > training.rooms.due(training.record.steps):
         raise ValueError
     env = training.env
     for r, scene in enumerate(env.world.scenes):

@@ -138,11 +138,9 @@ def target_handle(kind):
 
 
 def target_handles(scene):
-    """A legend's entries for the targets of a scene."""
-    kinds = ["training"]
-    if len(scene.new_targets):
-        kinds.append("new")
-    return [target_handle(kind) for kind in kinds]
+    """A legend's entries for the targets of a scene, where it has any."""
+    kinds = {"training": scene.training_targets, "new": scene.new_targets}
+    return [target_handle(kind) for kind, targets in kinds.items() if targets]
 
 
 def start_handle(label="start"):

@@ -14,9 +14,10 @@ from sim import Scene
 RANDOM = "random"  # what `--env` calls them
 VALIDATION_ROOMS = 16  # random:0 to random:15, from which no training learns; all our choice
 FIRST_ROOM = 1_000_000  # a run of seed k learns in rooms from random:(k + 1) * FIRST_ROOM on
-MOST_RUNS = 900  # of which no two share a room
-WATCHED = 16  # one robot of so many drives in a room for validation
-EVERY = 200_000  # steps from one move to the next; episodes under way are dropped then
+MOST_RUNS = 900  # seeds k and k + 900 share their rooms, no others do
+ROBOTS_PER_WATCHED = 16  # one robot in so many drives in a room for validation
+EVERY = 50_000  # steps of 64 robots from one move to the next, of other numbers in proportion: each
+#   drives so long in a room that the episodes which a move drops are few
 DRAWS = 3  # of a start, at most, until something is in the way to the goal
 
 
@@ -44,7 +45,7 @@ def mirrored(scene):
         other_starts=tuple((-x, y, math.pi - theta) for x, y, theta in scene.other_starts))
 
 
-class Learnt(Scene):
+class TrainingRoom(Scene):
     """A random room to learn in: a start that is drawn anywhere is mostly behind something. Where
     nothing is in the way a robot soon has nothing left to learn."""
 
@@ -56,9 +57,9 @@ class Learnt(Scene):
         return start
 
 
-def learnt(scene):
-    """The Learnt room like that Scene."""
-    return Learnt(**{field.name: getattr(scene, field.name) for field in fields(scene)})
+def as_training_room(scene):
+    """The TrainingRoom like that Scene."""
+    return TrainingRoom(**{field.name: getattr(scene, field.name) for field in fields(scene)})
 
 
 class GivenRooms:
@@ -68,7 +69,7 @@ class GivenRooms:
 
     def __init__(self, config, scenes):
         """At level 2 the last robots drive in mirrored rooms, without new targets: there they only
-        train. Robot r's is a picture of `scenes[r % len(scenes)]` always."""
+        train. Robot r drives in `scenes[r % len(scenes)]` or in its mirror image."""
         self.scenes = scenes
         self.mirrors = [mirrored(scene) for scene in scenes]
         in_mirror = int(config.robots * config.mirrored) if config.targets == "both" else 0
@@ -84,8 +85,12 @@ class GivenRooms:
         return False
 
     def by_kind(self):
-        """The Scenes that are driven in at the end, of those that are learnt from and others."""
+        """The Scenes for the evaluation after training: rooms that it learnt in, and others."""
         return {"training": self.scenes, "new": []}
+
+    def due(self, steps):
+        """How many moves there are in so many steps of all robots."""
+        return 0
 
     def move(self, steps):
         """After so many steps of all robots, moves them on where it is time. Whether it is."""
@@ -107,16 +112,17 @@ class RandomRooms:
     def __init__(self, config, scenes):
         """scenes: those for validation."""
         self.validation = scenes
-        self.learners = config.robots - config.robots // WATCHED  # the first robots; others watch
+        self.learners = config.robots - config.robots // ROBOTS_PER_WATCHED  # the first ones
         self.first_room = FIRST_ROOM * (1 + config.seed % MOST_RUNS)
-        self.rooms = config.rooms  # how many there are; 0: ever new ones
+        self.rooms = config.rooms or FIRST_ROOM  # how many there are; 0: ever new ones
+        self.every = EVERY * config.robots / 64  # steps from one move to the next
         self.moves = 0
         self._made = {}  # number -> the Scene, since the last move
 
     def number(self, r):
         """The number of the room that robot r, a learner, drives in."""
         k = r + self.moves * self.learners
-        return self.first_room + (k % self.rooms if self.rooms else k)
+        return self.first_room + k % self.rooms
 
     def of_robot(self, r):
         """The Scene that robot r drives in."""
@@ -124,7 +130,7 @@ class RandomRooms:
             return self.validation[(r + self.moves) % len(self.validation)]
         number = self.number(r)
         if number not in self._made:
-            self._made[number] = learnt(generate.room(number))
+            self._made[number] = as_training_room(generate.room(number))
         return self._made[number]
 
     def is_watched(self, r):
@@ -132,15 +138,20 @@ class RandomRooms:
         return r >= self.learners
 
     def by_kind(self):
-        """The Scenes that are driven in at the end, of those that are learnt from and others."""
+        """The Scenes for the evaluation after training: of the rooms that it learnt in last, as
+        many as there are for validation, and these."""
         numbers = list(dict.fromkeys(map(self.number, range(self.learners))))[:VALIDATION_ROOMS]
         return {"training": [generate.room(k) for k in numbers], "new": self.validation}
 
+    def due(self, steps):
+        """How many moves there are in so many steps of all robots."""
+        return int(steps // self.every)
+
     def move(self, steps):
         """After so many steps of all robots, moves them on where it is time. Whether it is."""
-        if steps < (self.moves + 1) * EVERY:
+        if self.moves >= self.due(steps):
             return False
-        self.moves += 1
+        self.moves = self.due(steps)
         self._made = {}
         return True
 

@@ -289,7 +289,7 @@ from support import rooms
 generate.room = lambda seed: scenes.parse(
     square_room(0.6 + seed % 7 / 10, training_targets=[[0.2, 0.0]], new_targets=[]),
     f"random-{seed}")
-rooms.EVERY = 500
+rooms.EVERY = 2000  # of 64 robots
 rooms.VALIDATION_ROOMS = 2
 """
 
@@ -335,7 +335,7 @@ def test_wrong_moves_of_a_checkpoint_are_one_sentence_and_make_no_more_rooms(in_
     moves = whole["state"]["rooms"]["moves"]
     made = []
     monkeypatch.setattr(generate, "room", lambda seed: made.append(seed) or ENV1)
-    monkeypatch.setattr(rooms, "EVERY", 500)
+    monkeypatch.setattr(rooms, "EVERY", 2000)
     for wrong in [None, -1, True, 2.0, math.inf, "1", [], [1], {}, torch.zeros(1), 10 ** 40,
                   10 ** 6, moves + 2]:
         content = changed(whole, ("state", "rooms", "moves"), wrong)

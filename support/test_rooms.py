@@ -29,8 +29,8 @@ def visited(stays, moves):
     """The rooms' numbers that the learners drive in, a list for each time between two moves."""
     numbers = [[stays.number(r) for r in range(stays.learners)]]
     for k in range(moves):
-        assert not stays.move((k + 1) * 200_000 - 1)
-        assert stays.move((k + 1) * 200_000)
+        assert not stays.move((k + 1) * 50_000 - 1)
+        assert stays.move((k + 1) * 50_000)
         numbers.append([stays.number(r) for r in range(stays.learners)])
     return numbers
 
@@ -42,9 +42,10 @@ def test_no_room_is_learnt_in_by_two_runs_and_none_is_for_validation():
     runs = [set(sum(visited(random_rooms(seed=seed), 40), [])) for seed in range(6)]
     assert all(min(run) > rooms.VALIDATION_ROOMS for run in runs)
     assert not any(one & other for one, other in combinations(runs, 2))
-    longest = random_rooms(seed=0)
-    longest.moves = 10 ** 9 // rooms.EVERY
-    assert max(map(longest.number, range(longest.learners))) < min(runs[1])
+    for robots in (1, 64, 4096):
+        longest = random_rooms(seed=0, robots=robots)
+        longest.moves = longest.due(10 ** 9)
+        assert max(map(longest.number, range(longest.learners))) < min(runs[1])
     assert [room.name for room in rooms.validation_scenes()] == [f"random-{k}" for k in range(16)]
 
 
@@ -76,13 +77,13 @@ def test_one_robot_of_16_watches_and_all_rooms_for_validation_have_their_turn(ro
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Rooms that are made at once, and moves after every 400 steps."""
+    """Rooms that are made at once, and moves of 32 robots after every 400 steps."""
     def square(seed):
         half = 0.6 + seed % 7 / 10
         return scenes.parse(square_room(half, training_targets=[[0.2, 0.0]], new_targets=[]),
                             f"random-{seed}")
     monkeypatch.setattr(generate, "room", square)
-    monkeypatch.setattr(rooms, "EVERY", 400)
+    monkeypatch.setattr(rooms, "EVERY", 800)
     monkeypatch.setattr(rooms, "VALIDATION_ROOMS", 3)
 
 
@@ -98,8 +99,24 @@ def names(run):
     return [scene.name for scene in run.env.scenes]
 
 
-def test_what_a_watching_robot_does_is_new_and_never_learnt_from(quick):
-    run = training()
+def one_of(count, rank):
+    """The process of that rank, of so many, without the others."""
+    processes = OneProcess()
+    processes.rank = rank
+    processes.count = count
+    return processes
+
+
+def test_every_robot_drives_as_long_in_a_room_whatever_their_number():
+    for robots, steps in ((64, 50_000), (16, 12_500), (1024, 800_000)):
+        stays = random_rooms(robots=robots)
+        assert not stays.move(steps - 1) and stays.move(steps)
+        assert stays.move(5 * steps) and stays.moves == 5  # after an update of very many episodes
+
+
+@pytest.mark.parametrize("count, rank", [(1, 0), (2, 0), (2, 1)])
+def test_what_a_watching_robot_does_is_new_and_never_learnt_from(quick, count, rank):
+    run = training(one_of(count, rank))
     watched = {room.name for room in rooms.validation_scenes()}
     kinds = set()
     for _ in range(20):
@@ -113,12 +130,7 @@ def test_what_a_watching_robot_does_is_new_and_never_learnt_from(quick):
 
 def test_processes_share_the_robots_and_each_robot_has_its_room(quick):
     alone = training()
-    shares = []
-    for rank in range(2):
-        processes = OneProcess()
-        processes.rank = rank
-        processes.count = 2
-        shares.append(training(processes))
+    shares = [training(one_of(2, rank)) for rank in range(2)]
     for _ in range(3):
         assert [names(share) for share in shares] == [names(alone)[0::2], names(alone)[1::2]]
         assert len(set(names(alone))) == 32
@@ -178,7 +190,7 @@ def test_memory_does_not_grow_over_30_moves(quick):
 
 
 def test_a_start_to_learn_from_is_mostly_behind_something_and_an_exams_is_not():
-    room = generate.room(5)
+    room = generate.room(2)
     rng = np.random.default_rng(0)
 
     def share_behind(scene):
@@ -193,7 +205,7 @@ def test_a_start_to_learn_from_is_mostly_behind_something_and_an_exams_is_not():
     plain = share_behind(room)
     expected = 1 - (1 - plain) ** rooms.DRAWS  # roughly: it differs from goal to goal
     assert 0.3 < plain < 0.7
-    assert share_behind(rooms.learnt(room)) == pytest.approx(expected, abs=0.1)
+    assert share_behind(rooms.as_training_room(room)) == pytest.approx(expected, abs=0.1)
 
 
 def test_the_exam_at_the_end_is_in_plain_rooms(quick):
@@ -202,4 +214,4 @@ def test_the_exam_at_the_end_is_in_plain_rooms(quick):
     assert [room.name for room in by_kind["training"]] == [f"random-{1_000_000 + k}"
                                                            for k in range(rooms.VALIDATION_ROOMS)]
     assert all(type(room) is Scene for kind in by_kind.values() for room in kind)
-    assert all(type(room) is rooms.Learnt for room in run.env.scenes[:30])
+    assert all(type(room) is rooms.TrainingRoom for room in run.env.scenes[:30])
