@@ -5,7 +5,6 @@ and from episodes that a policy of pretrained/ drives.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,21 +15,20 @@ from torch import nn
 import render
 import scenes
 from evaluation import Assignment, Policy, rollouts
+from experiments import gallery
+from experiments.runs import ROOT
 from model import Memory, Network
 from navbot_min import (ARRIVAL_REWARD, COLLISION_REWARD, MAX_EPISODE_STEPS, PROGRESS_REWARD,
                         STEP_COST, NavVecEnv, polar_targets)
 from ppo import pack_rows
 from sim import (ARRIVAL_DISTANCE, CAMERA_HEIGHT, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY,
                  MAX_LINEAR_VELOCITY, ROBOT_RADIUS)
-from support.command_line import CommandLine
 from support.pictures import PALETTE, WIDTH, draw_robot, draw_room, draw_target
 from support.weights import load_run
 from support.traces import drive
 from support.record import WINDOW
 from train import SUCCESS_RATE, Config
 
-ROOT = Path(__file__).parent.parent
-PICTURES = ROOT / "pictures"
 DPI = 150
 INK = PALETTE["robot"]
 SMALL, NORMAL = 8.5, 9.5  # [pt] of letters
@@ -570,13 +568,8 @@ def draw_all():
 
 def main(argv=None):
     """The command line."""
-    parser = CommandLine("Draw every drawing that explains into pictures/.")
-    parser.parse(argv)
-    parser.must_write_to(PICTURES)
-    for name, figure in draw_all():
-        path = PICTURES / f"{name}.png"
-        figure.savefig(path, dpi=DPI)
-        print(path.relative_to(ROOT), flush=True)
+    gallery.read_command_line("Draw every drawing that explains into pictures/.", argv)
+    gallery.save(draw_all(), DPI)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ episodes of the policies in pretrained/.
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +13,8 @@ from matplotlib.lines import Line2D
 
 import scenes
 from evaluation import PATCH, Assignment, Policy, film_episode, rollouts
-from support.command_line import CommandLine
+from experiments import gallery
+from experiments.runs import RESULTS, ROOT
 from support.film import write_film
 from support.pictures import (PALETTE, SPACING, WIDTH, WINDOW, draw_curves, draw_path, draw_robot,
                               draw_room, draw_target, draw_trajectories, floor_handles,
@@ -24,9 +24,6 @@ from support.weights import load_run
 from support.traces import OUTCOMES
 from train import SUCCESS_RATE
 
-ROOT = Path(__file__).parent.parent
-RESULTS = ROOT / "results"
-PICTURES = ROOT / "pictures"
 DPI = 130
 
 ENVS = ("env1", "env2")
@@ -257,16 +254,11 @@ def draw_all():
 
 def main(argv=None):
     """The command line."""
-    parser = CommandLine("Draw every figure of the results into pictures/.")
-    parser.parse(argv)
-    parser.must_write_to(PICTURES)
-    for name, figure in draw_all():
-        path = PICTURES / f"{name}.png"
-        figure.savefig(path, dpi=DPI)
-        print(path.relative_to(ROOT), flush=True)
+    gallery.read_command_line("Draw every figure of the results into pictures/.", argv)
+    gallery.save(draw_all(), DPI)
     driver, scene = pretrained("env1")
     trace = replace(film_episode(driver, scene), label="driven by pretrained/env1.pt")
-    write_film(trace, PICTURES / "episode.gif")
+    write_film(trace, gallery.PICTURES / "episode.gif")
     print("pictures/episode.gif")
 
 

@@ -58,8 +58,7 @@ def steps_to(run, success):
 
 def seed_row(run):
     """A run's row of level1.csv."""
-    summary = run.read("summary.json")
-    row = run.names | {key: summary[key] for key in ("steps", "episodes", "seconds")}
+    row = run.training_columns()
     row["steps_to_stop"] = steps_to(run, STOP)
     for protocol, file in PROTOCOLS.items():
         result = run.read(file)["training"]

@@ -94,9 +94,7 @@ def seed_row(run):
     """A run's row of seeds.csv or ablations.csv."""
     summary = run.read("summary.json")
     anywhere = run.read("evaluation-anywhere.json")["anywhere"]
-    row = run.names
-    for key in ("steps", "episodes", "seconds"):
-        row[key] = summary[key]
+    row = run.training_columns()
     for kind, result in (("training", summary["frozen"]["training"]),
                          ("new", summary["frozen"]["new"]), ("anywhere", anywhere)):
         row |= rounded(result, (*OUTCOMES, "spl"), f"{kind}_")

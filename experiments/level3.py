@@ -16,7 +16,7 @@ PAPER_ROOMS = tuple(level2.BUDGET)  # with the paper's training and new targets
 TEST_ROOMS = (*PAPER_ROOMS, *level2.MORE_ROOMS)  # never trained or tuned on
 VALIDATION = "validation"  # the name of random:0 to random:15 in the tables
 ANY_ROOM_BUDGET = 6_000_000  # steps
-BUDGET = 1_000_000  # steps of each run for the figure, and of the ablations
+BUDGET = 500_000  # steps of each run for the figure, and of the ablations
 ROOMS = (1, 4, 16, 64, 256, 0)  # to learn in; 0: ever new ones
 SEEDS = range(3)
 ABLATIONS = {name: level2.ABLATIONS[name]
@@ -69,7 +69,7 @@ def main_runs():
 def seed_row(run):
     """A run's row of level3.csv."""
     summary = run.read("summary.json")
-    row = run.names | {key: summary[key] for key in ("steps", "episodes", "seconds")}
+    row = run.training_columns()
     for kind, name in (("training", "training"), ("new", VALIDATION)):
         row |= rounded(summary["frozen"][kind], ("n", *OUTCOMES, "spl"), f"{name}_")
     return row

@@ -9,36 +9,51 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 import scenes
 from evaluation import PATCH, Assignment, Policy, film_episode, rollouts
+from experiments import gallery
 from experiments.level3 import ROOMS, TEST_ROOMS
-from experiments.level_tables import of_seeds
+from experiments.level_tables import EVER_NEW, of_seeds
 from experiments.runs import RESULTS, ROOT
-from support.command_line import CommandLine
+from scenes.generate import are_blocked
+from sim import FAR_ENOUGH
 from support.film import write_film
-from support.pictures import (PALETTE, WIDTH, draw_floor, draw_path, draw_room, outcome_handles,
+from support.pictures import (PALETTE, WIDTH, draw_floor, draw_path, draw_room, outcome_handle,
                               read_table, start_handle)
+from support.traces import OUTCOMES
 from support.weights import load_run
 
-PICTURES = ROOT / "pictures"
 DPI = 130
 RANDOM_ROOMS = 20  # of the picture of rooms
 PATHS = 24  # in each room
 FLOOR_EPISODES = 1500
-FILM_ROOM = "maze3"
+FLOOR_ROOM = "maze0"  # the hardest
+FILM_ROOM = "maze4"
+LINES = 5000  # of which it is looked up how many are blocked
+
+
+def share_blocked(scene):
+    """The share of the straight lines between two places of a room, 1 m or more apart, that
+    something blocks."""
+    rng = np.random.default_rng(0)
+    begin, end = scene.reachable[rng.integers(len(scene.reachable), size=(2, LINES))]
+    apart = np.hypot(*(end - begin).T) >= FAR_ENOUGH
+    return are_blocked(scene.boxes, begin[apart], end[apart]).mean()
 
 
 def draw_rooms(rooms, released):
-    """Rooms from above, small, those that are released with a frame. rooms: Scenes. released: their
-    names. Returns a Figure."""
+    """Rooms from above, small, with the share of lines that are blocked; those that are released
+    with a frame. rooms: Scenes. released: their names. Returns a Figure."""
     columns = 5
     rows = math.ceil(len(rooms) / columns)
     figure = Figure(figsize=(WIDTH, 1.35 * rows), layout="constrained")
     for axes, scene in zip(figure.subplots(rows, columns).flat, rooms):
         draw_room(axes, scene)
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-        axes.set_title(scene.name.replace("random-", "random:"), fontsize=9, parse_math=False,
+        name = scene.name.replace("random-", "random:")
+        axes.set_title(f"{name}, {share_blocked(scene):.0%}", fontsize=9, parse_math=False,
                        weight="bold" if scene.name in released else "normal")
         for spine in axes.spines.values():
             spine.set(lw=2.5 if scene.name in released else 0, color=PALETTE["run"])
@@ -64,7 +79,7 @@ def draw_rooms_learnt(runs, tests):
                       alpha=0.6, mew=0)
         axes.plot([np.mean(seeds) for seeds in values], color=colour, marker=mark, ms=7,
                   label=name)
-    axes.set(xticks=range(len(ROOMS)), xticklabels=[*map(str, ROOMS[:-1]), "ever new ones"],
+    axes.set(xticks=range(len(ROOMS)), xticklabels=[*map(str, ROOMS[:-1]), EVER_NEW],
              xlabel="rooms learnt in", ylabel="success from anywhere\nto anywhere [%]",
              ylim=(0, 103))
     axes.grid(alpha=0.3)
@@ -72,25 +87,33 @@ def draw_rooms_learnt(runs, tests):
     return figure
 
 
+MISSED = {"color": PALETTE["robot"], "ls": ":", "lw": 0.9, "marker": "o", "mfc": "none", "ms": 6}
+
+
 def draw_any_room(driver, rooms):
     """Paths of a policy from anywhere to anywhere, a panel for each room. Returns a Figure."""
     robots = [Assignment(scene, 0, 1) for scene in rooms for _ in range(PATHS)]
     traces = rollouts(driver, robots, "anywhere")
     figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
-    panels = figure.subplots(2, 3).flat
+    panels = figure.subplots(2, 3).ravel()
     for axes, scene in zip(panels, rooms):
         here = [trace for trace in traces if trace.scene is scene]
         draw_room(axes, scene)
         for trace in here:
             draw_path(axes, trace, lw=0.9, alpha=0.7)
             axes.plot(*trace.start[:2], color=PALETTE["robot"], marker="o", ms=3, ls="none")
+            if not trace.arrived:
+                axes.plot(*np.stack([trace.poses[-1, :2], trace.goal]).T, **MISSED, markevery=[1])
         arrived = sum(trace.arrived for trace in here)
         axes.set_title(f"{scene.name}: {arrived} of {len(here)} arrive", fontsize=9)
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    for axes in list(figure.axes)[len(rooms):]:
+    outcomes = [outcome_handle(outcome) for outcome in OUTCOMES
+                if any(trace.outcome == outcome for trace in traces)]
+    for axes in panels[len(rooms):]:
         axes.axis("off")
-    figure.legend(handles=[start_handle(), *outcome_handles(traces)], loc="outside lower center",
-                  ncols=4, frameon=False, fontsize=9)
+        axes.legend(handles=[start_handle(), *outcomes, Line2D([], [], **MISSED, markevery=[1],
+                                                               label="the goal that it missed")],
+                    loc="center", frameon=False, fontsize=9)
     return figure
 
 
@@ -100,16 +123,17 @@ def draw_all():
     random_rooms = [scenes.load(f"random:{k}") for k in range(RANDOM_ROOMS)]
     mixed = list(random_rooms)
     for k, scene in enumerate(released):
-        mixed.insert(5 * k + k % 5, scene)  # one in each row
+        mixed.insert(6 * k, scene)  # along the diagonal
     yield "rooms", draw_rooms(mixed, TEST_ROOMS)
     runs = read_table(RESULTS / "level3.csv")
     if any(row["way"] == "rooms-0" for row in runs):  # as long as these are not all made
         yield "rooms-learnt", draw_rooms_learnt(runs, read_table(RESULTS / "rooms.csv"))
     driver = any_room()
     yield "any-room", draw_any_room(driver, released)
-    floor = scenes.load(FILM_ROOM)
-    robots = [Assignment(floor, 0, 10)] * (FLOOR_EPISODES // 10)
-    yield "any-room-floor", draw_floor(floor, rollouts(driver, robots, "anywhere"), PATCH)
+    scene = scenes.load(FLOOR_ROOM)
+    traces = rollouts(driver, [Assignment(scene, 0, 10)] * (FLOOR_EPISODES // 10), "anywhere")
+    without_targets = replace(scene, training_targets=(), new_targets=())  # none counts here
+    yield "any-room-floor", draw_floor(without_targets, traces, PATCH)
 
 
 def any_room():
@@ -120,17 +144,12 @@ def any_room():
 
 def main(argv=None):
     """The command line."""
-    parser = CommandLine("Draw the figures of levels 1 and 3 into pictures/.")
-    parser.parse(argv)
-    parser.must_write_to(PICTURES)
-    for name, figure in draw_all():
-        path = PICTURES / f"{name}.png"
-        figure.savefig(path, dpi=DPI)
-        print(path.relative_to(ROOT), flush=True)
+    gallery.read_command_line("Draw the figures of levels 1 and 3 into pictures/.", argv)
+    gallery.save(draw_all(), DPI)
     scene = scenes.load(FILM_ROOM)
     trace = replace(film_episode(any_room(), scene, "anywhere", seed=1),
                     label="a room that it never saw")
-    write_film(trace, PICTURES / "any-room.gif")
+    write_film(trace, gallery.PICTURES / "any-room.gif")
     print("pictures/any-room.gif")
 
 

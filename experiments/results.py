@@ -42,6 +42,12 @@ def write_tables(options):
         level3.write_tables()
 
 
+def write_planners():
+    """The planners' tables."""
+    level2.write_planners()
+    level3.write_planners()
+
+
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Make every table and figure of the results.")
@@ -55,18 +61,23 @@ def main(argv=None):
         parser.error(f"--level is {options.level}, with --ablations it must be 2 or left out")
     try:
         if options.planners:
-            level2.write_planners()
-            level3.write_planners()
+            write_planners()
         else:
             wanted = wanted_runs(options)
+            for run in wanted:
+                run.check_options()
             print(runs.expected(wanted, options.jobs), flush=True)
             runs.make_runs(wanted, options.jobs)
             write_tables(options)
+            if options.level == 0:
+                write_planners()
             if options.level in (0, 2):
                 figures.main([])
             if options.level in (0, 3):
                 level_figures.main([])
         tables.main([])
+    except runs.MadeOtherwise as error:
+        parser.error(error)
     except subprocess.CalledProcessError as error:
         said = error.stderr.decode().strip() or f"exit code {error.returncode}"
         parser.error(f"'{' '.join(error.cmd[1:])}' failed: {said.splitlines()[-1]}")

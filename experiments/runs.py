@@ -10,13 +10,20 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from scenes.limits import shown_path
+from support.command_line import CommandLine
 from support.interruption import interruption
 from support.pictures import read_table
+from train import Config
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
 RUNS = ROOT / "runs" / "results"
 OUTCOMES = ("success", "low", "high", "collision", "timeout")  # columns of a rate, all tables
+
+
+class MadeOtherwise(Exception):
+    """A run's folder holds a run with other options."""
 
 
 class Run:
@@ -37,14 +44,31 @@ class Run:
         summary = self.folder / "summary.json"
         return summary.exists() and json.loads(summary.read_text())["frozen"] is not None
 
+    @property
+    def command_line(self):
+        """All options of train.py but the folder."""
+        return [*map(str, self.training), "--fixed-budget", "--workers", "1"]
+
+    def check_options(self):
+        """Raises MadeOtherwise where its folder holds a run with other options."""
+        if not (self.folder / "config.json").exists():
+            return
+        made = self.read("config.json")
+        parser = CommandLine("")
+        wanted = parser.read(Config, self.command_line)
+        for name in sorted(parser.given):
+            value = getattr(wanted, name)
+            if made.get(name) != value:
+                raise MadeOtherwise(f"{shown_path(self.folder)} was made with {name} = "
+                                    f"{made.get(name)}, now it is {value}: move it away")
+
     def make(self):
         """Trains and examines, each unless it is done."""
         if not self.is_trained and (self.folder / "config.json").exists():
             call("train.py", "--resume", self.folder)  # a training that was cut short
         elif not self.is_trained:
             shutil.rmtree(self.folder, ignore_errors=True)
-            call("train.py", *self.training, "--fixed-budget", "--workers", 1,
-                 "--out", self.folder)
+            call("train.py", *self.command_line, "--out", self.folder)
         for file, options in self.examinations.items():
             if not (self.folder / file).exists():
                 call("-m", "evaluation", self.folder, "--workers", 1, *options)
@@ -53,6 +77,11 @@ class Run:
     def read(self, file):
         """The content of one of its JSON files."""
         return json.loads((self.folder / file).read_text())
+
+    def training_columns(self):
+        """The first columns of its row in a table: which run it is, and how long it trained."""
+        summary = self.read("summary.json")
+        return self.names | {key: summary[key] for key in ("steps", "episodes", "seconds")}
 
     def seconds(self):
         """How long it took when results/ was made; where it is not there, how long its steps take
@@ -89,7 +118,7 @@ def expected(runs, jobs):
     seconds = sum(run.seconds() for run in left)
     return (f"{len(left)} of {len(runs)} runs are to be trained, which takes about "
             f"{seconds / jobs / 60:.0f} minutes, {jobs} at a time, if this machine is as fast as "
-            "the one of results/; their examination comes on top")
+            "the one of results/; examinations and planners come on top")
 
 
 def make_runs(runs, jobs):

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ import pytest
 
 import train
 from evaluation.__main__ import read_command_line
-from experiments import benchmark, level2, results, runs, tables
+from experiments import benchmark, level2, level3, results, runs, tables
 from model import Network
 from navbot_min import OUTCOMES
 from support.command_line import CommandLine
@@ -257,6 +258,23 @@ def test_interrupted_results_go_on_where_they_were_and_make_nothing_twice(tmp_pa
     assert len(calls) == 11 and len({tuple(call) for call in calls}) == 11
     run.make()
     assert len(calls) == 11
+
+
+def test_a_run_that_was_made_with_other_options_is_not_taken_for_this_one(tmp_path, monkeypatch,
+                                                                          capsys):
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
+    run = level3.Run("rooms-4", 1)
+    run.folder.mkdir()
+    config = CommandLine("").read(train.Config, run.command_line)
+    file = run.folder / "config.json"
+    file.write_text(json.dumps(asdict(config)))
+    run.check_options()
+    file.write_text(json.dumps(asdict(config) | {"rooms": 5}))
+    with pytest.raises(SystemExit) as end:
+        results.main(["--level", "3"])
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert said.endswith("rooms-4-seed1' was made with rooms = 5, now it is 4: move it away\n")
 
 
 def test_results_pass_a_signal_on_and_say_how_to_go_on(tmp_path):
