@@ -31,6 +31,7 @@ PATHS = 24  # in each room
 FLOOR_EPISODES = 1500
 FLOOR_ROOM = "maze0"  # the hardest
 FILM_ROOM = "maze4"
+FILM_SEED = 6  # of an episode that arrives, around something; every fifth or so does not
 LINES = 5000  # of which it is looked up how many are blocked
 
 
@@ -147,7 +148,7 @@ def main(argv=None):
     gallery.read_command_line("Draw the figures of levels 1 and 3 into pictures/.", argv)
     gallery.save(draw_all(), DPI)
     scene = scenes.load(FILM_ROOM)
-    trace = replace(film_episode(any_room(), scene, "anywhere", seed=1),
+    trace = replace(film_episode(any_room(), scene, "anywhere", seed=FILM_SEED),
                     label="a room that it never saw")
     write_film(trace, gallery.PICTURES / "any-room.gif")
     print("pictures/any-room.gif")

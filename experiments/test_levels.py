@@ -187,5 +187,5 @@ def test_the_picture_of_rooms_frames_the_released_ones():
 
 
 @pytest.mark.parametrize("name, share", [("env1", 0.45), ("env2", 0.52)])
-def test_the_share_of_blocked_lines_is_that_of_the_issue(name, share):
+def test_the_share_of_blocked_lines_is_that_measured_before(name, share):
     assert level_figures.share_blocked(scenes.load(name)) == pytest.approx(share, abs=0.05)
