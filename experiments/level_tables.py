@@ -3,11 +3,14 @@ into the pages."""
 
 import numpy as np
 
-from experiments.level3 import PAPER_ROOMS, ROOMS, TEST_ROOMS, VALIDATION
+from experiments.level3 import BUDGET, PAPER_ROOMS, ROOMS, TEST_ROOMS, VALIDATION
 from experiments.markdown import (markdown, percentages, select, with_interval,
                                   worst_first)
+from support.rooms import EVERY, RandomRooms
+from train import Config
 
-EVER_NEW = "600 new ones"  # ten stays of 60 robots that are learnt from, in level3.BUDGET steps
+LEARNERS = RandomRooms(Config(), []).learners  # robots that are learnt from
+EVER_NEW = f"{LEARNERS * BUDGET // EVERY} new ones"  # each drives EVERY steps of all in a room
 NETWORKS = {  # column `way` of level3.csv
     "rooms-0": "as it is",
     "single": "one LSTM (`single`)",
