@@ -293,3 +293,19 @@ def test_range_readings_match_the_distances_to_the_walls():
     readings = range_readings(world, np.array([0, 0.5, 1, -0.5]) * np.pi - 0.3, 8.0)
     assert np.allclose(readings, [(1.5, 1.75, 2.5, 2.25)])
     assert np.allclose(range_readings(world, [0.0], 1.0), 1.0)  # nothing within range
+
+
+def test_range_readings_are_those_that_pymunk_finds_ray_by_ray():
+    rooms = [scenes.load(name) for name in ("env1", "maze3", "lab", "random:5")]
+    world = sim.World([rooms[k % 4] for k in range(12)])
+    rng = np.random.default_rng(0)
+    places = np.array([scene.any_place(rng) for scene in world.scenes])
+    world.place(slice(None), np.column_stack([places, rng.uniform(-3, 3, 12)]))
+    angles = np.linspace(0, 2 * np.pi, 17)
+    readings = range_readings(world, angles, 2.0)
+    for r, (x, y, theta) in enumerate(world.state()[:-1, :3]):  # where pymunk has them
+        for angle, reading in zip(angles, readings[r]):
+            end = (x + 2.0 * np.cos(theta + angle), y + 2.0 * np.sin(theta + angle))
+            hit = world.space.segment_query_first((x, y), end, 0, sim.ROBOT_FILTER)
+            assert reading == pytest.approx(2.0 * hit.alpha if hit else 2.0)
+    assert (readings < 2).mean() > 0.5 and (readings == 2).any()
