@@ -33,6 +33,7 @@ results: .venv/installed
 figures: .venv/installed
 	$(BIN)/python -m experiments.figures
 	$(BIN)/python -m experiments.level_figures
+	$(BIN)/python -m experiments.lab_figures
 	$(BIN)/python -m experiments.diagrams
 	$(BIN)/python -m experiments.tables
 

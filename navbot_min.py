@@ -32,8 +32,8 @@ MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script allows 1000
 MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad/s]
 LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the maxima
 HIGHEST_ACTION = np.array([1.0, 1.0])
-OUTCOMES = ("arrival", "collision", "timeout")
-ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
+OUTCOMES = ("arrival", "collision", "timeout", "standing")  # the last where a robot gives up
+ARRIVAL, COLLISION, TIMEOUT, STANDING = range(4)  # indices into OUTCOMES
 RENDER_FPS = 10  # frames a second; a frame is CONTROL_PERIOD, so four times faster than life
 
 
@@ -59,7 +59,8 @@ class NavVecEnv(VectorEnv):
     (R, 1); the last two are 0 at an episode's start. An action (R, 2) holds the linear velocity in
     [0, 1] and the angular in [-1, 1] as fractions of their maxima, and is clipped.
 
-    Arrival and collision terminate an episode, the step limit truncates it. Autoreset is same-step.
+    Arrival and collision terminate an episode (and, in a subclass, standing too long), the step
+    limit truncates it. Autoreset is same-step.
     `infos["pose"]` (R, 3) are the poses that the step led to, `infos["command"]` (R, 2) the
     commands that led there. When episodes end, `infos["final_obs"]` holds the last observations
     (R, ...), and `infos["final_info"]` the `outcome` (index into OUTCOMES), `return`, `length`,
@@ -68,8 +69,8 @@ class NavVecEnv(VectorEnv):
     all of Gymnasium there is a mask of the same name after a `_`: whether the entry of robot r
     counts.
 
-    A subclass changes the task by three hooks: `sample_episode`, `observe` and `command`. Arrays of
-    its own that change while robots drive it names in `changing`.
+    A subclass changes the task by hooks: `sample_episode`, `observe`, `command` and `is_standing`.
+    Arrays of its own that change while robots drive it names in `changing`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS,
@@ -184,6 +185,10 @@ class NavVecEnv(VectorEnv):
         """The commands (R, 2) [m/s, rad/s] that actions (R, 2) come to. A hook."""
         return actions.clip(LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
 
+    def is_standing(self):
+        """Which robots (R,) have stood for so long that their episodes end. A hook: here, none."""
+        return np.zeros(self.num_envs, dtype=bool)
+
     def step(self, actions):
         """Drives all robots for one control period with actions (R, 2). Returns observations,
         rewards (R,), terminated (R,), truncated (R,), infos. Raises ValueError, ResetNeeded."""
@@ -198,13 +203,14 @@ class NavVecEnv(VectorEnv):
         reward = rewards(before, after, arrived, hit)
         self._steps += 1
         self._return += reward
-        terminated = arrived | hit
+        standing = self.is_standing() & ~arrived & ~hit
+        terminated = arrived | hit | standing
         truncated = ~terminated & (self._steps == self.max_episode_steps)
         observations = self.observe(np.arange(self.num_envs), poses, self.goals, command, reward)
         infos = {"pose": poses, "command": command}
         ended = np.flatnonzero(terminated | truncated)
         if len(ended):
-            outcome = np.where(arrived, ARRIVAL, np.where(hit, COLLISION, TIMEOUT))
+            outcome = np.select([arrived, hit, standing], [ARRIVAL, COLLISION, STANDING], TIMEOUT)
             # First how they fared: beginning the next episodes clears it.
             infos |= self._final_infos(terminated | truncated, outcome, observations)
             for key, first in self._begin(ended, {}).items():
@@ -320,8 +326,9 @@ class NavEnv(gym.Env):
 
 
 for _name in scene_files.names():
-    gym.register(f"NavBot-{_name}-v0", entry_point="navbot_min:NavEnv",
-                 vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
+    _where = "robot.environment:Real" if _name == "lab" else "navbot_min:Nav"
+    gym.register(f"NavBot-{_name}-v0", entry_point=f"{_where}Env",
+                 vector_entry_point=f"{_where}VecEnv", kwargs={"scenes": (_name,)},
                  max_episode_steps=MAX_EPISODE_STEPS)
 
 

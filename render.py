@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim import CAMERA_HEIGHT
+from support.textures import ABOVE, PERIOD, TEXEL, texture
 
 H, W = 48, 64  # [px] paper III-C
 FOCAL = W / 2 / np.tan(np.radians(60) / 2)  # [px] 60 degrees across, square pixels, released model
@@ -30,8 +31,6 @@ SUN = np.array((0.5, -0.1, 0.9)) / np.linalg.norm((0.5, -0.1, 0.9))  # towards i
 FLOOR = (118, 118, 118)  # colours, our choice
 SKY = (178, 178, 178)  # 0.7 of white, released world
 BLUE = (20, 20, 235)
-TEXEL = 0.025  # [m] one texture element, our choice
-PERIOD = 48  # texels after which a texture repeats along a wall, 1.2 m
 BLOCK = 64  # images that are painted at once, few enough to stay in the cache
 
 # A texture column is what one column of the camera can show of a wall: floor before the wall's
@@ -39,7 +38,6 @@ BLOCK = 64  # images that are painted at once, few enough to stay in the cache
 # 136 texels, from the height of the eye, which is 11 texels above the foot. So 125 texels below the
 # foot and 147 above it are all that can be seen, and with more of them no lookup needs clipping.
 BELOW = 128
-ABOVE = 160
 COLUMN = BELOW + ABOVE
 
 SLOPE = ((W / 2 - 0.5 - np.arange(W)) / FOCAL).astype(np.float32)  # (W,) of a column's ray
@@ -50,29 +48,6 @@ EYE_TEXEL = np.float32(BELOW + CAMERA_HEIGHT / TEXEL)  # the camera's height in 
 def light(normal):
     """Brightness of a face with that (..., 3) outward normal: ambient light and Lambert's law."""
     return 0.5 + 0.5 * np.clip(2 * (np.asarray(normal) @ SUN), 0, 1)
-
-
-def texture(material):
-    """(PERIOD, ABOVE, 3) colours [0, 255] of a wall, by texels along it and above its foot."""
-    rng = np.random.default_rng(sum(material.encode()))
-    u, v = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")
-    if material == "wall":  # grey-brown ceiling tiles, 0.6 m, grainy
-        colour = np.array((186, 176, 168)) + rng.normal(0, 7, (PERIOD, ABOVE, 1))
-        colour[(u % 24 == 0) | (v % 24 == 0)] -= 45
-    elif material == "brick":  # courses of 10 cm, bricks of 30 cm, every other course shifted
-        course = v // 4
-        shifted = u + 6 * (course % 2)
-        brick = shifted // 12 % (PERIOD // 12)
-        tone = rng.normal(0, 1, (PERIOD // 12, ABOVE // 4, 1))[brick, course]
-        colour = np.array((178, 74, 62)) + tone * (22, 14, 14)
-        colour += rng.normal(0, 6, (PERIOD, ABOVE, 1))
-        colour[(shifted % 12 == 0) | (v % 4 == 0)] = (176, 158, 150)  # mortar
-    else:  # wood: upright orange-brown planks of 15 cm with grain along them
-        tone = rng.normal(0, 14, (PERIOD // 6, 1))[u // 6]
-        grain = rng.normal(0, 7, (PERIOD, ABOVE // 8, 1)).repeat(8, 1)
-        colour = np.array((206, 126, 48)) + tone + grain
-        colour[u % 6 == 0] *= 0.72
-    return colour
 
 
 def slab(offset, way):
@@ -103,7 +78,14 @@ class Camera:
     Colours are looked up in one flat palette: for each material, height and brightness that occurs,
     PERIOD texture columns of COLUMN texels, floor, wall and sky from below up; then a texture of
     floor and sky alone; then the colours of the cube's faces. A pixel is painted by its index.
+
+    A subclass may look otherwise: by its floor, its sky, its light and its textures.
     """
+
+    floor = FLOOR
+    sky = SKY
+    light = staticmethod(light)
+    texture = staticmethod(texture)
 
     def __init__(self, scenes):
         """scenes: a list of Scenes; a robot's scene is an index into it. Heights are rounded to a
@@ -122,7 +104,7 @@ class Camera:
                 self._tops[i, b] = top * TEXEL
                 for face in range(4):
                     normal = box.yaw + (face + 1) * np.pi / 2
-                    brightness = light((np.cos(normal), np.sin(normal), 0)).round(1)  # so, few
+                    brightness = self.light((np.cos(normal), np.sin(normal), 0)).round(1)  # so, few
                     key = (box.material, top, float(brightness))
                     number = textures.setdefault(key, len(textures))
                     self._texture[i, b, face] = number * PERIOD * COLUMN
@@ -132,13 +114,13 @@ class Camera:
     def _make_palette(self, textures):
         """The palette: one flat array of 32-bit colours."""
         colours = np.empty((len(textures) + 1, PERIOD, COLUMN, 3))
-        colours[:, :, :BELOW] = FLOOR
-        colours[:, :, BELOW:] = SKY
+        colours[:, :, :BELOW] = self.floor
+        colours[:, :, BELOW:] = self.sky
         for (material, top, brightness), number in textures.items():
-            colours[number, :, BELOW:BELOW + top] = texture(material)[:, :top] * brightness
+            colours[number, :, BELOW:BELOW + top] = self.texture(material)[:, :top] * brightness
         self._no_wall = len(textures) * PERIOD * COLUMN  # the texture of floor and sky alone
         normals = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
-        cube = np.array([np.multiply(BLUE, light(normal)) for normal in normals])
+        cube = np.array([np.multiply(BLUE, self.light(normal)) for normal in normals])
         self._cube = colours.size // 3 + np.arange(5)  # top, then faces to +x, -x, +y, -y
         flat = np.concatenate([colours.reshape(-1, 3), cube])
         packed = np.zeros((len(flat), 4), np.uint8)

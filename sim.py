@@ -68,13 +68,14 @@ class Box:
 @dataclass(frozen=True)
 class Scene:
     """A closed room: boxes, start pose, training targets, new (test-only) targets, in metres; some
-    rooms have more start poses than one."""
+    rooms have more start poses than one, and some say what reality does there."""
     name: str
     boxes: tuple[Box, ...]
     start: tuple[float, float, float]
     training_targets: tuple[tuple[float, float], ...]
     new_targets: tuple[tuple[float, float], ...]
     other_starts: tuple[tuple[float, float, float], ...] = ()
+    reality: object = None  # a scenes.reality.Reality; None: a simulation
 
     @cached_property
     def targets(self):

@@ -19,9 +19,10 @@ import numpy as np
 from tqdm import tqdm
 
 import scenes as scene_files
-from model import BLANKS, MEMORIES, REWARD_SCALE, make_network
-from navbot_min import OUTCOMES, NavVecEnv
+from model import BLANKS, MEMORIES, REWARD_SCALE
+from navbot_min import OUTCOMES
 from ppo import Collector, update
+from robot.environment import REALITIES, environment_of
 from sim import SceneError
 from support.adam import Adam
 from support.checkpoints import Keeper, NoKeeper
@@ -31,6 +32,7 @@ from support.record import Record
 from support.rooms import make_rooms
 from support.run_folder import NoFolder, RunFolder
 from support.run_options import faults_as_one_line, open_run
+from support.weights import first_network
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 FINAL_STD = 0.2  # of the initial standard deviations, when a run uses all its steps, our choice
@@ -47,7 +49,12 @@ class Config:
     rooms: int = option(0, "random rooms to learn in; by default 0: ever new ones", 0, 4096)
     seed: int = option(0, "what all random numbers come from: another one, another run", 0)
     steps: int = option(500_000, "at most so many steps, all robots' together", 1, 10 ** 9)
+    episodes: int = option(0, "so many are enough; by default 0: steps alone count", 0, 10 ** 9)
     fixed_budget: bool = option(False, "train for all the steps: the paper's rule stops nothing")
+    init: str = option("", "a run's folder or weights to begin with; by default random weights")
+    ring: bool = option(False, "sensors stop the robot: ultrasonic ones, as on the paper's robot")
+    reality: str = option("", "random: how camera, odometry and wheels err is drawn anew each "
+                          "episode; by default as the room's file says", choices=REALITIES)
     robots: int = option(64, "R, the robots that drive side by side", 1, 4096)
     random_starts: float = option(0.7, "share of training episodes that start anywhere", 0.0, 1.0)
     mirrored: float = option(0.5, "share of the robots that drive in the mirrored room", 0.0, 1.0)
@@ -83,7 +90,7 @@ class Training:
         states: of all processes, by their rank, where a training goes on from a checkpoint."""
         self.config = config
         self.processes = processes
-        self.model = make_network(config.seed, config.memory, config.without).to(config.device)
+        self.model = first_network(config).to(config.device)
         self.optimizer = Adam(self.model)
         self.rng = np.random.default_rng(config.seed)  # shuffles, the same in all processes
         self.robots = range(processes.rank, config.robots, processes.count)  # those of this process
@@ -103,11 +110,19 @@ class Training:
 
     def make_env(self, rooms):
         """The environment with a robot in each of these rooms."""
-        return NavVecEnv(len(rooms), rooms, self.config.targets, self.config.random_starts)
+        environment = environment_of(rooms, self.config.ring, self.config.reality)
+        return environment(len(rooms), rooms, self.config.targets, self.config.random_starts)
 
     def is_over(self):
         """Whether the steps are used up, or the paper's rule stops the run."""
-        return self.record.steps >= self.config.steps or self.stopped_by_rule()
+        return self.progress() >= 1 or self.stopped_by_rule()
+
+    def progress(self):
+        """How much of the steps, or of the episodes, is used up: 1 is all."""
+        used = self.record.steps / self.config.steps
+        if self.config.episodes:
+            used = max(used, len(self.record.episodes) / self.config.episodes)
+        return used
 
     def stopped_by_rule(self):
         """Whether the paper's rule stops the run."""
@@ -154,7 +169,7 @@ class Training:
         The learning rate shrinks linearly to 0 with the steps that are left, and in the last part
         of them so does the standard deviation of the actions, to FINAL_STD.
         """
-        left = max(1 - self.record.steps / self.config.steps, 0)
+        left = max(1 - self.progress(), 0)
         statistics = update(self.model, self.optimizer, self.config.learning_rate * left,
                             self.buffer, self.config, self.rng, self.processes)
         self.model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1))

@@ -22,6 +22,7 @@ from evaluation.drivers import Planned, Policy
 from evaluation.examine import conditions, evaluate, film_episode, table
 from evaluation.planners import PLANNERS
 from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS, protocol_scenes
+from robot.environment import environment_of
 from sim import SceneError
 from support.command_line import CommandLine, option
 from support.cores import ProcessLost, available_cores, one_thread
@@ -45,6 +46,7 @@ class Options:
                            "level 3 anywhere", choices=["", *PROTOCOLS])
     hide: str = option("", "what the policy is not shown of its target: its place, its cube or "
                        "both; by default it is shown all", choices=HIDDEN)
+    ring: bool = option(False, "the robot's ultrasonic sensors stop it")
     episodes: int = option(1000, "episodes to targets of each kind, with anywhere in all", 1,
                            10 ** 5)
     seed: int = option(0, "what all random numbers come from: another one, other episodes", 0)
@@ -62,6 +64,7 @@ class Examination:
     scenes: list  # of Scenes, without what a protocol changes
     folder: Path
     suffix: str  # of the files' names
+    environment: type  # NavVecEnv or a subclass of it
 
 
 def own_protocol(run):
@@ -98,11 +101,14 @@ def prepare(run, options):
     suffix = "" if options.protocol == own == "start" else f"-{options.protocol}"
     if options.hide:
         suffix += f"-hidden-{options.hide}"
+    if options.ring:
+        suffix += "-ring"
     folder = Path("evaluations") / (name + place)
     if run is not None and run.is_dir():
         folder = run
         suffix = place + suffix
-    return Examination(name, driver, actions, chosen, folder, suffix)
+    environment = environment_of(chosen, options.ring)
+    return Examination(name, driver, actions, chosen, folder, suffix, environment)
 
 
 def heading(examined, options):
@@ -135,7 +141,8 @@ def film(examined, options):
     from support.film import write_film
 
     scene = examined.scenes[0]
-    trace = film_episode(examined.driver, scene, options.protocol, options.seed, options.hide)
+    trace = film_episode(examined.driver, scene, options.protocol, options.seed, options.hide,
+                         examined.environment)
     trace = replace(trace, scene=scene)  # in which a validation target is no new target
     write(examined.folder / f"episode{examined.suffix}.gif", partial(write_film, trace))
 
@@ -169,7 +176,7 @@ def main(argv=None):
     try:
         result, traces = evaluate(examined.driver, examined.scenes, options.episodes,
                                   options.protocol, options.seed, examined.actions, options.hide,
-                                  workers=workers)
+                                  examined.environment, workers)
         text = json.dumps(result, indent=2)
         write(examined.folder / f"evaluation{examined.suffix}.json", text)
         print(text if options.json else f"{heading(examined, options)}\n{table(result)}")

@@ -6,6 +6,7 @@ import sys
 
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate, report
+from robot.environment import environment_of
 from support.cores import available_cores
 from support.pictures import draw_curves
 from support.rooms import RANDOM
@@ -47,7 +48,9 @@ def evaluate_task(training, scenes, workers):
     model = training.model.cpu()
     if config.targets == "anywhere":
         return evaluate_rooms(model, training.rooms, config, workers)
-    return evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed, workers)
+    environment = environment_of(scenes, config.ring, config.reality)
+    return evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed, workers,
+                           environment)
 
 
 def evaluate_rooms(model, rooms, config, workers):
@@ -57,20 +60,21 @@ def evaluate_rooms(model, rooms, config, workers):
               "new": None, "targets": []}
     for kind, scenes in rooms.by_kind().items():
         if scenes:
+            environment = environment_of(scenes, config.ring, config.reality)
             result, _ = evaluate(Policy(model, "mean", config.seed), scenes,
                                  config.evaluation_episodes, "anywhere", config.seed,
-                                 workers=workers)
+                                 environment=environment, workers=workers)
             frozen[kind] = result["anywhere"]
     return frozen
 
 
-def evaluate_frozen(model, scenes, episodes, seed, workers):
+def evaluate_frozen(model, scenes, episodes, seed, workers, environment=None):
     """What `evaluation.json` holds: fresh episodes with sampled actions, as in training, and
     whether the deterministic (mean) action arrives: from one start pose each episode is the same.
     """
     frozen, _ = evaluate(Policy(model, "sampled", seed), scenes, episodes, seed=seed,
-                         workers=workers)
-    by_mean, _ = evaluate(Policy(model, "mean", seed), scenes, 1)
+                         environment=environment, workers=workers)
+    by_mean, _ = evaluate(Policy(model, "mean", seed), scenes, 1, environment=environment)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):
         target["mean_action_arrives"] = mean["success"] == 1
     return frozen

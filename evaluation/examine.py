@@ -7,7 +7,6 @@ import numpy as np
 from evaluation.measures import ShortestPaths, summarise
 from evaluation.protocols import (HIDDEN, PROTOCOLS, Assignment, assign_all, make_environment,
                                   protocol_scenes)
-from navbot_min import NavVecEnv
 from support.checks import load_scenes
 from support.cores import in_processes
 from support.traces import drive
@@ -20,7 +19,7 @@ MOST_ROWS = 40  # targets that `table` has a line for
 
 
 def rollouts(driver, robots, protocol="start", seed=0, hidden="", images=False,
-             environment=NavVecEnv, workers=1, paths=None):
+             environment=None, workers=1, paths=None):
     """Drives what each robot is to do, a list of Assignments; returns the Traces.
 
     The robots drive in blocks, each with random numbers of its own: it makes no difference how many
@@ -56,7 +55,7 @@ def drive_block(driver, robots, protocol, seeds, hidden, images, environment, me
     return traces, paths.lengths
 
 
-def film_episode(driver, scene, protocol="start", seed=0, hidden="", environment=NavVecEnv):
+def film_episode(driver, scene, protocol="start", seed=0, hidden="", environment=None):
     """The Trace, with images, of one episode of the kind that `evaluate` counts; it leads to the
     last of the protocol's targets, where that has targets."""
     scene = protocol_scenes(protocol, [scene])[0]
@@ -75,16 +74,17 @@ def conditions(protocol, hidden):
 
 
 def evaluate(driver, scenes, episodes=1000, protocol="start", seed=0, actions="sampled", hidden="",
-             environment=NavVecEnv, workers=1):
+             environment=None, workers=1):
     """Frozen evaluation: no learning, fresh episodes. Returns what `evaluation.json` holds, and the
     episodes' Traces.
 
     driver: a Policy, a Planned or your own. scenes: a list of names, paths or Scenes. episodes: so
     many of each kind, training and new, split evenly over the scenes and their targets; by
     `anywhere`, so many in all. actions: what the result says of the driver's actions. hidden: see
-    `protocols.hiding`. environment: NavVecEnv or a subclass with hooks of its own. workers:
-    processes that share the work; the result is the same with any number. Raises ValueError for
-    what is not valid; SceneError where there is no room for validation targets.
+    `protocols.hiding`. environment: NavVecEnv or a subclass with hooks of its own; by default the
+    one that the scenes ask for. workers: processes that share the work; the result is the same with
+    any number. Raises ValueError for what is not valid; SceneError where there is no room for
+    validation targets.
     """
     for name, value, valid in (("protocol", protocol, PROTOCOLS), ("hidden", hidden, HIDDEN)):
         if value not in valid:
@@ -149,6 +149,7 @@ def row_text(row):
     time = "-" if row["seconds_to_arrive"] is None else f"{row['seconds_to_arrive']:.1f} s"
     text = (f"success {row['success']:6.1%} [{row['low']:.1%}, {row['high']:.1%}]  "
             f"collision {row['collision']:6.1%}  timeout {row['timeout']:6.1%}  "
+            + (f"standing {row['standing']:6.1%}  " if row["standing"] else "") +
             f"SPL {row['spl']:.2f}  arrives in {time}  n {row['n']}")
     if "mean_action_arrives" in row:
         verb = "arrives" if row["mean_action_arrives"] else "fails"

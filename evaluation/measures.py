@@ -78,5 +78,7 @@ def summarise(traces, paths=None):
         weighted.append(spl(trace.arrived, shortest, trace.metres))
     return {"n": n, "success": counts["arrival"] / n, "low": low, "high": high,
             "collision": counts["collision"] / n, "timeout": counts["timeout"] / n,
+            "standing": counts["standing"] / n,
+            "stops": sum(trace.stops for trace in traces) / n,  # of the ring, an episode
             "spl": sum(weighted) / n,
             "seconds_to_arrive": sum(times) / len(times) if times else None}

@@ -1,8 +1,8 @@
 """Where the episodes of an evaluation start and lead, what of the target is hidden, and how many
 episodes go to which target.
 
-A protocol overrides the hook `sample_episode` of an environment, hiding overrides `observe`; the
-environment is NavVecEnv or a subclass of it:
+A protocol overrides the hook `sample_episode` of an environment, which is NavVecEnv or a subclass
+of it:
 
 - `start`: every episode starts at the scene's start pose, as training's test episodes do.
 - `perturbed`: near the start pose, to near a target.
@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbot_min import NavVecEnv
 from render import CUBE_SIZE
+from robot.environment import environment_of
 from scenes import distance_to_reachable
 from sim import CELL, Scene, SceneError
 
@@ -52,28 +52,42 @@ class Anywhere:
 PROTOCOLS = {"start": (), "perturbed": (Perturbed,), "anywhere": (Anywhere,), "validation": ()}
 
 
+class WithoutCube:
+    """A camera that does not show the targets' cubes."""
+
+    def __init__(self, camera):
+        self.camera = camera
+
+    def render(self, scene_of, poses, targets):
+        """As render.Camera's."""
+        return self.camera.render(scene_of, poses, targets + OUT_OF_SIGHT)
+
+
 def hiding(environment, hidden):
     """That class of environment, with robots that are not shown everything of their target.
     hidden: `place`, the observed distance and bearing are 0; `cube`, the camera does not show the
     target; `both`."""
 
     class Hiding(environment):
-        def observe(self, robots, poses, goals, velocities, last_rewards):
-            seen = super().observe(robots, poses, goals, velocities, last_rewards)
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            if hidden in ("cube", "both"):
+                self.camera = WithoutCube(self.camera)
+
+        def observe(self, *arguments):
+            seen = super().observe(*arguments)
             if hidden in ("place", "both"):
                 seen["target"] = np.zeros_like(seen["target"])
-            if hidden in ("cube", "both"):
-                elsewhere = super().observe(robots, poses, goals + OUT_OF_SIGHT, velocities,
-                                            last_rewards)
-                seen["image"] = elsewhere["image"]
             return seen
 
     return Hiding
 
 
-def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv):
+def make_environment(protocol, scenes, targets, hidden="", environment=None):
     """The environment of a protocol. scenes, targets: of each robot its Scene and the index of its
-    target. hidden: see `hiding`; "" hides nothing. environment: NavVecEnv or a subclass of it."""
+    target. hidden: see `hiding`; "" hides nothing. environment: NavVecEnv or a subclass of it; by
+    default the one that the scenes ask for."""
+    environment = environment or environment_of(scenes)
     environment = type(environment.__name__, (*PROTOCOLS[protocol], environment), {})
     if hidden:
         environment = hiding(environment, hidden)

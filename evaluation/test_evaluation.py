@@ -61,7 +61,8 @@ def test_a_summary_is_that_of_its_episodes_one_by_one():
     traces = rollouts(Planned("random", 0), assign_all("anywhere", [TINY, ENV1], 24), "anywhere")
     found = summarise(traces)
     shares = {name: [trace.outcome for trace in traces].count(name) / 24 for name in OUTCOMES}
-    assert (found["success"], found["collision"], found["timeout"]) == tuple(shares.values())
+    names = ("success", "collision", "timeout", "standing")
+    assert [found[name] for name in names] == list(shares.values()) and found["stops"] == 0
     assert 0 < found["success"] < 1 and (found["low"], found["high"]) == wilson(
         round(24 * found["success"]), 24)
     weights = []
@@ -243,7 +244,7 @@ def test_a_room_without_new_targets_evaluates_and_reports_say_so():
     ([], "success in new rooms: there are none\nrooms learnt in")])
 def test_level_3_is_evaluated_by_rooms_and_reports_say_so(other, words):
     net = lively_network("none")
-    config = SimpleNamespace(seed=3, evaluation_episodes=4)
+    config = SimpleNamespace(seed=3, evaluation_episodes=4, ring=False, reality="")
     rooms = SimpleNamespace(by_kind=lambda: {"training": [ENV1, TRAINING_ONLY], "new": other})
     frozen = evaluate_rooms(net, rooms, config, 1)
     for kind, own in rooms.by_kind().items():

@@ -23,7 +23,7 @@ class Run(runs.Run):
     env: str
     seed: int
 
-    level = 1
+    stage = "level1"
     tables = ("level1.csv",)
 
     @property

@@ -56,7 +56,7 @@ class Run(runs.Run):
     way: str
     seed: int
 
-    level = 2
+    stage = "level2"
     tables = ("seeds.csv", "ablations.csv")
 
     @property

@@ -32,7 +32,7 @@ class Run(runs.Run):
     way: str
     seed: int
 
-    level = 3
+    stage = "level3"
     tables = ("level3.csv",)
 
     @property

@@ -28,7 +28,7 @@ class MadeOtherwise(Exception):
 
 class Run:
     """One training run, and the files in which its examinations lie. A subclass says what it is:
-    `level`, of the paper; `names`, the columns that every table begins with; `training`, the
+    `stage`, such as level2; `names`, the columns that every table begins with; `training`, the
     options of train.py; `examinations`, the file that holds an answer -> the options of `python -m
     evaluation`; and `tables`, those in results/ that say how many seconds it took."""
 
@@ -36,7 +36,7 @@ class Run:
     def folder(self):
         """Where the run lies."""
         *names, seed = map(str, self.names.values())
-        return RUNS / f"level{self.level}-{'-'.join(names)}-seed{seed}"
+        return RUNS / f"{self.stage}-{'-'.join(names)}-seed{seed}"
 
     @property
     def is_trained(self):

@@ -30,6 +30,7 @@ from scenes import generate
 from scenes.limits import (LARGEST_FILE, MOST_BOXES, MOST_COVERED, MOST_TARGETS, WIDEST, check,
                            check_name, check_text, number, sentence, shown, shown_path)
 from scenes.places import complete
+from scenes.reality import parse_reality
 from scenes.world_file import read_boxes
 from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, SceneError
 
@@ -124,7 +125,7 @@ def parse(table, name):
     angles in degrees. Raises SceneError."""
     check_name(name)
     _check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene",
-                optional=("other_starts",))
+                optional=("other_starts", "reality"))
     others = _entries(table, "other_starts", least=0, most=MOST_TARGETS)
     starts = [_pose(table["start"], "start")]
     starts += [_pose(other, f"other_starts[{k}]") for k, other in enumerate(others)]
@@ -134,8 +135,8 @@ def parse(table, name):
 def rebuild(fields):
     """The Scene that `dataclasses.asdict` made this dict of, as a checkpoint holds it: angles in
     radians, start a list (x, y, heading). Raises SceneError, for a checkpoint is a file too."""
-    *keys, last = [field.name for field in fields_of(Scene)]
-    _check_keys(fields, keys, "the scene", optional=(last,))  # other_starts
+    *keys, starts, reality = [field.name for field in fields_of(Scene)]
+    _check_keys(fields, keys, "the scene", optional=(starts, reality))  # older files lack them
     check_name(fields["name"])
     others = _entries(fields, "other_starts", least=0, most=MOST_TARGETS)
     starts = [_numbers(fields["start"], 3, "start")]
@@ -157,7 +158,8 @@ def _checked_scene(name, table, starts, yaw_key):
                                for k, target in enumerate(training)),
         new_targets=tuple(_numbers(target, 2, f"new_targets[{k}]")
                           for k, target in enumerate(new)),
-        other_starts=tuple(starts[1:]))
+        other_starts=tuple(starts[1:]),
+        reality=parse_reality(table.get("reality"), in_degrees=yaw_key == "yaw_degrees"))
     _check_boxes(scene)
     for start in starts:
         check(scene.clearance(start[:2]) > ROBOT_RADIUS,

@@ -34,6 +34,7 @@ MOST_PANELS = 16  # of `draw_trajectories`: a scene of more targets has one pane
 PALETTE = {
     "training": "#1f4fd8", "new": "#22b14c",  # targets, blue and green as in Fig. 3
     "arrival": "#00708a", "collision": "#d7191c", "timeout": "#e6a800",  # outcomes
+    "standing": "#7a4fb5",
     "one-start": "#b35806", "varied": "#542788",  # ways to train
     "run": "#9e0f66", "paper": "#9a9a9a",  # this run, and the paper's released records
     "wall": "#d3ccc4", "brick": "#bd7f73", "wood": "#e6c08f",  # boxes, paler than the camera's
@@ -41,7 +42,7 @@ PALETTE = {
     "cube": "#1414eb",  # what the camera shows at the target, whichever it is
     "few": "#c9c9c9",  # patches of the floor with too few episodes to tell
     "input": "#fbe9c9", "layer": "#e3e8ee", "memory": "#f3d9e3", "output": "#d8ebe6"}  # of diagrams
-MARKERS = {"arrival": "o", "collision": "X", "timeout": "s"}
+MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
 
 def read_table(path):

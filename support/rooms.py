@@ -69,10 +69,12 @@ class GivenRooms:
 
     def __init__(self, config, scenes):
         """At level 2 the last robots drive in mirrored rooms, without new targets: there they only
-        train. Robot r drives in `scenes[r % len(scenes)]` or in its mirror image."""
+        train. Robot r drives in `scenes[r % len(scenes)]` or in its mirror image. What stands for a
+        real room has none."""
         self.scenes = scenes
         self.mirrors = [mirrored(scene) for scene in scenes]
-        in_mirror = int(config.robots * config.mirrored) if config.targets == "both" else 0
+        has_mirrors = config.targets == "both" and not any(scene.reality for scene in scenes)
+        in_mirror = int(config.robots * config.mirrored) if has_mirrors else 0
         self.first_in_mirror = config.robots - in_mirror
 
     def of_robot(self, r):

@@ -17,6 +17,7 @@ from support.paths import check_new_folder
 from support.processes import torchrun_count, torchrun_rank
 from support.rooms import RANDOM, validation_scenes
 from support.run_folder import PASSING, RunError, WriteError, how_to_go_on, new_folder
+from support.weights import first_network
 
 MOST_WORKERS = 4  # unless more are asked for: more were not tried, and each takes memory
 CHANGEABLE = ("steps", *PASSING)  # options that a run may go on with other values of
@@ -34,10 +35,12 @@ def open_run(config, parser, make_training):
         if "resume" in parser.given:
             config = resumed(config, parser)
         check_run(config, parser)
+        first_network(config)  # whether it can be begun with
         saved = checkpoints.load(config, make_training) if config.resume else None
         if saved is not None:
             return config, *saved
         scenes, name = scenes_of(config)
+        check_reality(config, scenes, parser)
         if not config.resume:
             config.out = config.out or str(new_folder(f"runs/{name}-seed{config.seed}"))
             if torchrun_rank() == 0:  # the process that writes
@@ -147,6 +150,14 @@ def check_task(config, parser):
         if name in parser.given and not valid:
             parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it goes with "
                          f"{other} alone: leave it out")
+
+
+def check_reality(config, scenes, parser):
+    """Ends the program where a room's own errors are to be drawn at random."""
+    for scene in scenes:
+        if config.reality and scene.reality:
+            parser.error(f"--reality is {config.reality}, with --env {config.env} it must be left "
+                         "out: the room's file says what reality does there")
 
 
 def check_run(config, parser):

@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import navbot_min
 import ppo
 import scenes
 import train
@@ -378,13 +379,13 @@ def inf_weights(monkeypatch):
 
 
 def nan_observation(monkeypatch):
-    observe = train.NavVecEnv.observe
+    observe = navbot_min.NavVecEnv.observe
 
     def broken(*arguments):
         observation = observe(*arguments)
         observation["velocity"][-1, 0] = math.nan
         return observation
-    monkeypatch.setattr(train.NavVecEnv, "observe", broken)
+    monkeypatch.setattr(navbot_min.NavVecEnv, "observe", broken)
 
 
 @pytest.mark.parametrize("place, fault", [
@@ -419,14 +420,14 @@ def test_what_is_not_finite_ends_a_run_in_words_and_is_never_saved(
 
 def test_what_only_one_process_sees_that_is_not_finite_ends_them_all(tmp_path):
     blind = """
-import math, multiprocessing
-observe = train.NavVecEnv.observe
+import math, multiprocessing, navbot_min
+observe = navbot_min.NavVecEnv.observe
 def broken(*arguments):
     observation = observe(*arguments)
     if multiprocessing.parent_process() is not None:
         observation["target"][0] = math.nan
     return observation
-train.NavVecEnv.observe = broken
+navbot_min.NavVecEnv.observe = broken
 """
     process = begin(tmp_path / "run", 2, more=blind)
     _, said = process.communicate(timeout=60)

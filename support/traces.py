@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from sim import CONTROL_PERIOD, Scene, wrap_angle
 
-OUTCOMES = ("arrival", "collision", "timeout")  # as the environment numbers them
+OUTCOMES = ("arrival", "collision", "timeout", "standing")  # as the environment numbers them
 
 
 @dataclass(eq=False)
@@ -25,6 +25,7 @@ class Trace:
     rewards: np.ndarray  # (T,)
     outcome: str  # one of OUTCOMES
     images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, where they were asked for
+    stops: int = 0  # periods in which the ring's sensors refused to drive on
     label: str = ""  # what a film says of the episode
 
     def __str__(self):
@@ -98,7 +99,8 @@ class Recording:
             commands=np.array(self.commands),
             rewards=np.array(self.rewards),
             outcome=OUTCOMES[final_info["outcome"][self.r]],
-            images=None if self.images is None else np.array(self.images))
+            images=None if self.images is None else np.array(self.images),
+            stops=int(final_info["stops"][self.r]) if "stops" in final_info else 0)
 
 
 class TurnToTarget:

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 import scenes as scene_files
-from model import BLANKS, MEMORIES, SHUT, Network
+from model import BLANKS, MEMORIES, SHUT, Network, make_network
 from scenes.limits import sentence, shown, shown_path
 from sim import SceneError
 from support.run_folder import RunError, write
@@ -67,6 +67,21 @@ def load_run(path):
         return network_of(saved), scenes_of(saved)
     except (RunError, SceneError) as error:
         raise RunError(sentence(f"{shown_path(file)} is no whole run: {error}")) from None
+
+
+def first_network(config):
+    """The network that a training begins with: that of `config.init`, else random weights, which a
+    checkpoint soon replaces where the training goes on. Raises RunError."""
+    if not config.init or config.resume:
+        return make_network(config.seed, config.memory, config.without)
+    model, _ = load_run(config.init)
+    for name in ("memory", "without"):
+        own = getattr(model, name)
+        wanted = getattr(config, name)
+        if own != wanted:
+            raise RunError(f"--init {shown_path(config.init)} was trained with --{name} "
+                           f"{own or 'nothing'}, but --{name} is {wanted or 'nothing'}")
+    return model
 
 
 def network_of(saved):

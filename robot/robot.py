@@ -1,0 +1,139 @@
+"""What a robot has to offer, so that a policy can drive it, and the loop that does.
+
+`drive(robot, policy, goal)` asks the robot for what it has measured last, the policy for an action,
+and sends the wheels a command, once in every control period. Three things stand between the policy
+and the wheels:
+
+- the ring: where the way ahead is blocked, or that is not known, forward motion is refused;
+- the watchdog: without a new image for two periods the wheels are stopped until one comes;
+- the end, however it comes: Ctrl-C or an error stops the wheels before anything else.
+
+The lab is a Robot, too (`robot/lab.py`). A real one needs the same six methods (docs/robot.md).
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from navbot_min import MAX_COMMAND, MAX_EPISODE_STEPS, polar_targets, rewards
+from navbot_min import HIGHEST_ACTION, LOWEST_ACTION
+from robot.ring import SENSORS, is_blocked
+from render import H, W
+from sim import ARRIVAL_DISTANCE, CONTROL_PERIOD
+
+WATCHDOG = 2 * CONTROL_PERIOD  # [s] an older image stops the wheels
+
+
+class Stamped(NamedTuple):
+    """What a sensor measured, and when [s], by the robot's own clock."""
+    value: object
+    time: float
+
+
+class Robot(Protocol):
+    """What a robot of one's own has to offer."""
+
+    def now(self):
+        """The time [s], by the clock that all of its time stamps are of."""
+
+    def sleep_until(self, time):
+        """Waits until that time [s]."""
+
+    def image(self):
+        """The camera's last image, Stamped: (48, 64, 3) uint8 RGB; None before the first."""
+
+    def odometry(self):
+        """The last pose (x [m], y [m], theta [rad]) by odometry, Stamped, from wherever it begins;
+        None before the first."""
+
+    def ranges(self):
+        """The last readings of the ring's 16 sensors [m], Stamped, from the robot's rim, the first
+        ahead and the others counter-clockwise; None before the first."""
+
+    def send(self, linear, angular):
+        """Tells the wheels a velocity [m/s, rad/s], which holds until the next."""
+
+
+@dataclass
+class Drive:
+    """How a drive went, period by period."""
+    outcome: str = "timeout"  # or "arrival", by odometry
+    poses: list = field(default_factory=list)  # by odometry, (3,) each
+    commands: list = field(default_factory=list)  # sent to the wheels, (2,) each
+    readings: list = field(default_factory=list)  # of the ring, (SENSORS,) each; NaN without one
+    stops: int = 0  # periods in which the ring refused forward motion
+    waits: int = 0  # periods in which the watchdog stopped the wheels
+
+
+def is_image(image):
+    """Whether the camera has brought an image as the policy wants it."""
+    value = getattr(image, "value", None)
+    return isinstance(value, np.ndarray) and value.shape == (H, W, 3) and value.dtype == np.uint8
+
+
+def is_pose(odometry):
+    """Whether the odometry has brought three finite numbers."""
+    value = getattr(odometry, "value", None)
+    return np.shape(value) == (3,) and bool(np.isfinite(np.asarray(value, float)).all())
+
+
+def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
+    """Drives a Robot until its odometry says that it has arrived at the goal (x, y) [m], or for so
+    many control periods. Returns a Drive.
+
+    policy: has `reset()` and `act(observation)`, which returns an action (2,), as
+    `robot.export.OnnxPolicy` has. The wheels stand when this ends, however it ends.
+    """
+    log = Drive()
+    goal = np.asarray(goal, dtype=float)
+    policy.reset()
+    command = np.zeros(2)
+    reward = 0.0
+    before = None  # [m] distance to the goal a period ago
+    try:
+        start = robot.now()
+        for k in range(periods):
+            robot.sleep_until(start + k * CONTROL_PERIOD)
+            now = robot.now()
+            image = robot.image()
+            odometry = robot.odometry()
+            late = not (is_image(image) and is_pose(odometry)) or now - image.time > WATCHDOG
+            if late:
+                log.waits += 1
+                command = np.zeros(2)
+                robot.send(0.0, 0.0)
+                continue
+            pose = np.asarray(odometry.value, dtype=float)
+            target = polar_targets(pose[None], goal[None])
+            distance = target[0, 0]
+            arrived = distance < ARRIVAL_DISTANCE
+            log.poses.append(pose)
+            if arrived:
+                log.outcome = "arrival"
+                break
+            if before is not None:
+                reward = rewards(np.array([before]), np.array([distance]), False, False)[0]
+            before = distance
+            action = policy.act({"image": image.value, "target": target[0].astype(np.float32),
+                                 "velocity": command.astype(np.float32),
+                                 "last_reward": np.float32([reward])})
+            command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
+            command = after_ring(robot.ranges(), now, command, log)
+            robot.send(*command.tolist())
+            log.commands.append(command)
+    finally:
+        robot.send(0.0, 0.0)
+    return log
+
+
+def after_ring(ranges, now, command, log):
+    """The command (2,) after the ring: without forward motion where the way ahead is blocked."""
+    readings = None if ranges is None else ranges.value
+    age = np.inf if ranges is None else now - ranges.time
+    known = np.shape(readings) == (SENSORS,)
+    log.readings.append(np.asarray(readings, float) if known else np.full(SENSORS, np.nan))
+    if command[0] > 0 and is_blocked(readings, age):
+        log.stops += 1
+        return np.array([0.0, command[1]])
+    return command
