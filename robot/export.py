@@ -7,7 +7,6 @@ as an episode begins. Its outputs are `action` (2,), the deterministic (mean) on
 the maximum velocities, and the `memory` for the next step. All but the image are 32-bit floats.
 """
 
-import logging
 import warnings
 from dataclasses import dataclass
 from pathlib import Path

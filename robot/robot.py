@@ -5,7 +5,7 @@ and sends the wheels a command, once in every control period. Three things stand
 and the wheels:
 
 - the ring: where the way ahead is blocked, or that is not known, forward motion is refused;
-- the watchdog: without a new image for two periods the wheels are stopped until one comes;
+- the watchdog: without a new image or odometry for two periods the wheels stop until they come;
 - the end, however it comes: Ctrl-C or an error stops the wheels before anything else.
 
 The lab is a Robot, too (`robot/lab.py`). A real one needs the same six methods (docs/robot.md).
@@ -16,13 +16,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from navbot_min import MAX_COMMAND, MAX_EPISODE_STEPS, polar_targets, rewards
-from navbot_min import HIGHEST_ACTION, LOWEST_ACTION
-from robot.ring import SENSORS, is_blocked
+from navbot_min import (HIGHEST_ACTION, LOWEST_ACTION, MAX_COMMAND, MAX_EPISODE_STEPS,
+                        polar_targets, rewards)
 from render import H, W
+from robot.ring import SENSORS, is_blocked
 from sim import ARRIVAL_DISTANCE, CONTROL_PERIOD
 
-WATCHDOG = 2 * CONTROL_PERIOD  # [s] an older image stops the wheels
+WATCHDOG = 2 * CONTROL_PERIOD  # [s] what is older stops the wheels
 
 
 class Stamped(NamedTuple):
@@ -95,31 +95,27 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
         start = robot.now()
         for k in range(periods):
             robot.sleep_until(start + k * CONTROL_PERIOD)
-            now = robot.now()
-            image = robot.image()
-            odometry = robot.odometry()
-            late = not (is_image(image) and is_pose(odometry)) or now - image.time > WATCHDOG
-            if late:
+            measured = image_and_pose(robot)
+            if measured is None:
                 log.waits += 1
                 command = np.zeros(2)
                 robot.send(0.0, 0.0)
                 continue
-            pose = np.asarray(odometry.value, dtype=float)
+            image, pose = measured
+            log.poses.append(pose)
             target = polar_targets(pose[None], goal[None])
             distance = target[0, 0]
-            arrived = distance < ARRIVAL_DISTANCE
-            log.poses.append(pose)
-            if arrived:
+            if distance < ARRIVAL_DISTANCE:
                 log.outcome = "arrival"
                 break
             if before is not None:
                 reward = rewards(np.array([before]), np.array([distance]), False, False)[0]
             before = distance
-            action = policy.act({"image": image.value, "target": target[0].astype(np.float32),
+            action = policy.act({"image": image, "target": target[0].astype(np.float32),
                                  "velocity": command.astype(np.float32),
                                  "last_reward": np.float32([reward])})
             command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
-            command = after_ring(robot.ranges(), now, command, log)
+            command = after_ring(robot, command, log)
             robot.send(*command.tolist())
             log.commands.append(command)
     finally:
@@ -127,10 +123,23 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
     return log
 
 
-def after_ring(ranges, now, command, log):
+def image_and_pose(robot):
+    """The robot's last image and its last pose (3,), by odometry; None where one is missing, broken
+    or too old."""
+    image = robot.image()
+    odometry = robot.odometry()
+    if not (is_image(image) and is_pose(odometry)):
+        return None
+    if robot.now() - min(image.time, odometry.time) > WATCHDOG:
+        return None
+    return image.value, np.asarray(odometry.value, dtype=float)
+
+
+def after_ring(robot, command, log):
     """The command (2,) after the ring: without forward motion where the way ahead is blocked."""
+    ranges = robot.ranges()
     readings = None if ranges is None else ranges.value
-    age = np.inf if ranges is None else now - ranges.time
+    age = np.inf if ranges is None else robot.now() - ranges.time
     known = np.shape(readings) == (SENSORS,)
     log.readings.append(np.asarray(readings, float) if known else np.full(SENSORS, np.nan))
     if command[0] > 0 and is_blocked(readings, age):

@@ -417,7 +417,8 @@ def test_one_image_that_is_late_changes_nothing_and_one_that_is_older_stops_the_
     assert log.waits == 5 and log.outcome == "timeout"
 
 
-@pytest.mark.parametrize("broken", [None, Stamped((0.0, np.nan, 0.0), 99.0), Stamped((0, 0), 99.0)])
+@pytest.mark.parametrize("broken", [None, Stamped((0.0, np.nan, 0.0), 99.0), Stamped((0, 0), 99.0),
+                                    Stamped((0.6, -2.6, 0.0), -1.0)])
 def test_without_odometry_the_wheels_are_stopped(broken):
     robot = Faulty(lambda name, period, value: broken if name == "odometry" and period == 2
                    else value)
