@@ -326,7 +326,7 @@ class NavEnv(gym.Env):
 
 
 for _name in scene_files.names():
-    _where = "robot.environment:Real" if _name == "lab" else "navbot_min:Nav"
+    _where = "robot.environment:Real" if scene_files.load(_name).reality else "navbot_min:Nav"
     gym.register(f"NavBot-{_name}-v0", entry_point=f"{_where}Env",
                  vector_entry_point=f"{_where}VecEnv", kwargs={"scenes": (_name,)},
                  max_episode_steps=MAX_EPISODE_STEPS)

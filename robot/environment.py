@@ -38,51 +38,28 @@ GUESS = {  # the largest errors that are drawn where nothing is known; our choic
     "range_dropouts": 0.005}
 
 
-def columns():
-    """Where each knob stands in a row of numbers: name -> an index, or a slice where it is several.
-    And the row's length."""
-    places = {}
-    first = 0
+def drawn_knobs(rng):
+    """Values of all knobs, drawn up to GUESS: those that may be too small or too large evenly on
+    both sides, all others evenly from 0 up."""
+    drawn = {}
     for name, item in KNOBS.items():
-        count = len(item.default) if isinstance(item.default, tuple) else 1
-        places[name] = slice(first, first + count) if count > 1 else first
-        first += count
-    return places, first
-
-
-PLACES, LENGTH = columns()
-WHEEL_KNOBS = np.r_[PLACES["lag"], PLACES["wheel_gains"], PLACES["dead_zone"]]
-
-
-def as_row(reality):
-    """The numbers of a Reality as a row (LENGTH,)."""
-    row = np.zeros(LENGTH)
-    for name, place in PLACES.items():
-        row[place] = getattr(reality, name)
-    return row
-
-
-def drawn_row(rng):
-    """Numbers (LENGTH,) of a reality that is drawn: those that are no errors at 0 or 1 evenly on
-    both sides of it, all others evenly from 0 up, to GUESS."""
-    row = as_row(SIMULATION)
-    for name, place in PLACES.items():
-        neutral = np.array(row[place])
-        low = 0.0 if KNOBS[name].metadata["low"] == 0 else -GUESS[name]
-        drawn = rng.uniform(low, GUESS[name], neutral.shape)
-        factor = name in ("exposure", "white_balance", "wheel_gains")
-        row[place] = np.exp(drawn) if factor else neutral + drawn
-    return row
+        neutral = np.array(item.default)
+        low = 0.0 if item.metadata["low"] == 0 else -GUESS[name]
+        error = rng.uniform(low, GUESS[name], neutral.shape)
+        is_factor = name in ("exposure", "white_balance", "wheel_gains")
+        drawn[name] = np.exp(error) if is_factor else neutral + error
+    return drawn
 
 
 class RealVecEnv(NavVecEnv):
-    """NavVecEnv with the errors of each scene's `reality`.
+    """NavVecEnv with the errors of each scene's `reality`. Every knob is an attribute of its name
+    with the values of the episodes under way, (R,), or (R, count) where it has several.
 
     `final_info` also holds `stops`, in how many periods of the episode the ring refused to drive
     on, and where odometry has the robot: `estimate_x`, `estimate_y` [m], `estimate_theta` [rad].
     """
 
-    changing = (*NavVecEnv.changing, "knobs", "estimates", "asked", "stops", "_light", "_drift",
+    changing = (*NavVecEnv.changing, *KNOBS, "estimates", "asked", "stops", "_light", "_drift",
                 "_delayed", "_before", "_wheels", "_taken", "_shown", "_stood", "image_ages")
     has_ring = False  # whether its sensors stop the robot
 
@@ -92,8 +69,10 @@ class RealVecEnv(NavVecEnv):
         R = num_envs
         realities = [scene.reality or SIMULATION for scene in self.world.scenes]
         self.camera = own_cameras(self.scenes)
-        self.own_knobs = np.stack([as_row(reality) for reality in realities])  # (R, LENGTH)
-        self.knobs = self.own_knobs.copy()  # of the episodes under way
+        self.of_scene = {name: np.array([getattr(reality, name) for reality in realities], float)
+                         for name in KNOBS}
+        for name, values in self.of_scene.items():
+            setattr(self, name, values.copy())
         self.estimates = np.zeros((R, 3))  # poses by odometry
         self.asked = np.zeros((R, 2))  # [m/s, rad/s] what the wheels were told
         self.stops = np.zeros(R, int)  # in this episode
@@ -107,13 +86,9 @@ class RealVecEnv(NavVecEnv):
         self.image_ages = np.zeros(R, int)  # periods since that one was taken
         self._stood = np.zeros(R, int)  # periods without motion ahead, the last ones
 
-    def knob(self, name, robots=slice(None)):
-        """The values of a knob for those robots, (n,), or (n, count) of one with several."""
-        return self.knobs[robots, PLACES[name]]
-
     def draw_knobs(self, r):
-        """The knobs (LENGTH,) of robot r's next episode."""
-        return self.own_knobs[r]
+        """The values of all knobs in robot r's next episode, name -> value."""
+        return {name: values[r] for name, values in self.of_scene.items()}
 
     # ---------------------------------------------------------------- from the policy to the wheels
 
@@ -124,15 +99,14 @@ class RealVecEnv(NavVecEnv):
         self.asked = self.stopped(super().command(actions))
         motion = self.turned(self.asked)
         self._stood = np.where(motion[:, 0] < STANDING_SPEED, self._stood + 1, 0)
-        jitter = self.knob("period_jitter") * self.np_random.standard_normal(self.num_envs)
+        jitter = self.period_jitter * self.np_random.standard_normal(self.num_envs)
         return motion * np.maximum(1 + jitter, SHORTEST_PERIOD)[:, None]
 
     def stopped(self, wanted):
         """Commands (R, 2) after the ring has refused to drive on where the way is blocked."""
         if not self.has_ring:
             return wanted
-        readings = ring.listen(self.world, self.knob("range_noise"), self.knob("range_dropouts"),
-                               self.np_random)
+        readings = ring.listen(self.world, self.range_noise, self.range_dropouts, self.np_random)
         refused = ring.is_blocked(readings) & (wanted[:, 0] > 0)
         self.stops = self.stops + refused
         return np.where(refused[:, None] & (True, False), 0.0, wanted)
@@ -143,16 +117,16 @@ class RealVecEnv(NavVecEnv):
         v = commands[:, :1]
         w = commands[:, 1:]
         told = v + w * WHEELBASE / 2 * (-1, 1)  # (R, 2) [m/s] left, right
-        told = np.where(np.abs(told) < self.knob("dead_zone")[:, None], 0, told)
-        told = told * self.knob("wheel_gains")
+        told = np.where(np.abs(told) < self.dead_zone[:, None], 0, told)
+        told = told * self.wheel_gains
         # A first-order lag. A wheel's speed nears what it was told like exp(-t / lag).
-        lag = np.maximum(self.knob("lag"), SHORTEST_LAG)[:, None]
+        lag = np.maximum(self.lag, SHORTEST_LAG)[:, None]
         left_over = np.exp(-CONTROL_PERIOD / lag)
         difference = self._wheels - told
         mean = told + difference * (1 - left_over) * lag / CONTROL_PERIOD
         self._wheels = told + difference * left_over
         motion = np.stack([mean.mean(1), (mean[:, 1] - mean[:, 0]) / WHEELBASE], -1)
-        exact = (self.knobs[:, WHEEL_KNOBS] == as_row(SIMULATION)[WHEEL_KNOBS]).all(1)
+        exact = (self.lag == 0) & (self.dead_zone == 0) & (self.wheel_gains == 1).all(1)
         return np.where(exact[:, None], commands, motion)
 
     def is_standing(self):
@@ -178,11 +152,12 @@ class RealVecEnv(NavVecEnv):
     def _begin_reality(self, r):
         """Draws what is robot r's own in the episode that begins."""
         rng = self.np_random
-        self.knobs[r] = self.draw_knobs(r)
-        self._light[r] = np.exp(self.knob("light_change", r) * rng.standard_normal())
-        sigmas = [self.knob(name, r) for name in ("distance_drift", "turn_drift", "veer")]
+        for name, value in self.draw_knobs(r).items():
+            getattr(self, name)[r] = value
+        self._light[r] = np.exp(self.light_change[r] * rng.standard_normal())
+        sigmas = np.array([self.distance_drift[r], self.turn_drift[r], self.veer[r]])
         self._drift[r] = sigmas * rng.standard_normal(3)
-        self._delayed[r] = rng.random() < self.knob("image_delay", r)
+        self._delayed[r] = rng.random() < self.image_delay[r]
         for array in (self.asked, self._wheels, self.stops, self._stood):
             array[r] = 0
 
@@ -209,23 +184,23 @@ class RealVecEnv(NavVecEnv):
     def _mounted(self, robots, poses):
         """The poses (n, 3) that the cameras look along."""
         looking = poses.copy()
-        looking[:, 2] += self.knob("camera_yaw", robots)
+        looking[:, 2] += self.camera_yaw[robots]
         return looking
 
     def _exposed(self, robots, images):
         """The images (n, H, W, 3) uint8 as the cameras take them. What has no effect is left out,
         and so a simulation's images stay as they are, exactly."""
         taken = images.astype(np.float32)
-        pitch = self.knob("camera_pitch", robots)
+        pitch = self.camera_pitch[robots]
         if pitch.any():
             taken = lens.shift_rows(taken, FOCAL * np.tan(pitch))
-        blur = self.knob("blur", robots)
+        blur = self.blur[robots]
         if blur.any():
             taken = lens.blurred(taken, blur)
-        gain = self.knob("exposure", robots) * self._light[robots]
-        gains = gain[:, None] * self.knob("white_balance", robots)  # (n, 3)
+        gain = self.exposure[robots] * self._light[robots]
+        gains = gain[:, None] * self.white_balance[robots]  # (n, 3)
         taken = taken * gains[:, None, None].astype(np.float32)
-        noise = self.knob("image_noise", robots)
+        noise = self.image_noise[robots]
         if noise.any():
             taken = lens.noisy(taken, noise, self.np_random)
         return taken.clip(0, 255).round().astype(np.uint8)
@@ -235,7 +210,7 @@ class RealVecEnv(NavVecEnv):
         at all."""
         begins = np.isin(robots, new)
         late = self._delayed[robots] & ~begins
-        dropped = (self.np_random.random(len(robots)) < self.knob("dropped_images", robots))
+        dropped = (self.np_random.random(len(robots)) < self.dropped_images[robots])
         dropped &= ~begins
         arriving = np.where(late[:, None, None, None], self._taken[robots], images)
         shown = np.where(dropped[:, None, None, None], self._shown[robots], arriving)
@@ -269,7 +244,7 @@ class RandomVecEnv(RealVecEnv):
         self.camera = drawn_cameras(self.scenes)
 
     def draw_knobs(self, r):
-        return drawn_row(self.np_random)
+        return drawn_knobs(self.np_random)
 
 
 class RingVecEnv(RealVecEnv):

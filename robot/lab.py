@@ -35,8 +35,7 @@ class LabRobot:
         taken = self.now() - env.image_ages[0] * CONTROL_PERIOD
         self._image = Stamped(image.copy(), taken)
         self._odometry = Stamped(np.array(estimate), self.now())
-        [readings] = ring.listen(env.world, env.knob("range_noise"), env.knob("range_dropouts"),
-                                 env.np_random)
+        [readings] = ring.listen(env.world, env.range_noise, env.range_dropouts, env.np_random)
         self._ranges = Stamped(readings, self.now())
 
     def now(self):

@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 import scenes
+from model import make_network
 from navbot_min import OUTCOMES, NavVecEnv, polar_targets
 from robot import lens, ring
-from robot.environment import (PLACES, RandomVecEnv, RealVecEnv, RingVecEnv, as_row, drawn_row,
-                               environment_of)
+from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv, drawn_knobs, environment_of
 from robot.lab import LabRobot
 from robot.mapping import OccupancyGrid
+from robot.policy import TorchPolicy
 from robot.robot import Stamped, drive
 from scenes.reality import KNOBS, Reality, parse_reality
 from sim import (CONTROL_PERIOD, MAX_LINEAR_VELOCITY, ROBOT_RADIUS, Box, Scene, SceneError,
@@ -237,17 +239,16 @@ def test_a_room_that_looks_otherwise_has_the_same_shapes():
 
 
 def test_a_drawn_reality_is_within_what_a_file_may_hold_and_new_every_episode():
-    rows = np.array([drawn_row(np.random.default_rng(k)) for k in range(300)])
-    for name, place in PLACES.items():
-        values = rows[:, place]
-        low = KNOBS[name].metadata["low"]
-        high = KNOBS[name].metadata["high"]
-        assert values.min() >= low and values.max() <= high and np.ptp(values) > 0, name
+    drawn = [drawn_knobs(np.random.default_rng(k)) for k in range(300)]
+    for name, item in KNOBS.items():
+        values = np.array([knobs[name] for knobs in drawn])
+        assert values.shape[1:] == np.shape(item.default)
+        assert values.min() >= item.metadata["low"] and values.max() <= item.metadata["high"]
+        assert np.ptp(values, axis=0).min() > 0, name
     env, _ = started(PLAIN, R=3, environment=RandomVecEnv)
-    first = env.knobs.copy()
+    first = {name: getattr(env, name).copy() for name in KNOBS}
     env.reset()
-    assert (env.knobs != first).mean() > 0.9
-    assert not np.array_equal(as_row(LAB.reality), first[0])
+    assert all((getattr(env, name) != first[name]).any() for name in KNOBS)
 
 
 # ----------------------------------------------------------------------------------------- the ring
@@ -479,3 +480,20 @@ def test_a_map_of_exact_readings_is_free_where_the_floor_is_and_occupied_at_the_
     assert free.sum() > 500 and (grid.probability[free] < 0.5).mean() > 0.97
     at_face = known & (np.abs(clearance) < 0.03)
     assert (grid.probability[at_face] > 0.5).mean() > 0.6
+
+
+def test_a_policy_for_one_robot_remembers_until_it_is_reset():
+    network = make_network(0)
+    env = NavVecEnv(1, ["env2"])
+    seen, _ = env.reset(seed=0)
+    policy = TorchPolicy(network)
+    memory = network.initial_state(1)
+    first = None
+    for _ in range(4):
+        action = policy.act({name: value[0] for name, value in seen.items()})
+        expected, _, _, _, memory = network.act(seen, memory, torch.Generator())
+        assert np.allclose(action, expected[0])
+        first = action if first is None else first
+    assert not np.allclose(action, first)
+    policy.reset()
+    assert np.allclose(policy.act({name: value[0] for name, value in seen.items()}), first)
