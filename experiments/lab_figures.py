@@ -1,6 +1,7 @@
-"""The figure of what reality does: `python -m experiments.lab_figures` draws it into pictures/.
+"""The figures of the lab: `python -m experiments.lab_figures` draws them into pictures/.
 
-Each knob alone, larger than in the lab.
+What each knob does, alone and larger than in the lab; what episodes in the lab are worth; and an
+episode over the map that the robot makes on its way (the paper's Fig. 8).
 """
 
 import math
@@ -8,14 +9,24 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 import scenes
 from experiments import gallery
+from experiments.lab import EPISODES, NO_LAB, ROOM, STARTS, WEIGHTS
+from experiments.lab_tables import NAMES, collisions, stops
+from experiments.markdown import percentages, select
+from experiments.runs import RESULTS, ROOT
 from robot.environment import RealVecEnv
+from robot.lab import LabRobot
+from robot.mapping import OccupancyGrid
+from robot.policy import TorchPolicy
+from robot.robot import drive
 from scenes.generate import walls
 from scenes.reality import Reality
 from sim import Scene
-from support.pictures import PALETTE, WIDTH
+from support.pictures import PALETTE, WIDTH, draw_robot, draw_target, read_table
+from support.weights import load_run
 
 DPI = 130
 POSE = (0.5, -2.2, 3.3)  # from which the pairs of images are seen
@@ -102,9 +113,103 @@ def draw_knobs():
     return figure
 
 
+# ----------------------------------------------------------------- what episodes there are worth
+
+
+PAPER = (3000, 51.0)  # episodes, and success [%] on new targets: paper IV-C
+STYLES = {  # colour, marker
+    "from-scratch": (PALETTE["paper"], "s"), "from-env2": (PALETTE["training"], "o"),
+    "from-any-room": (PALETTE["run"], "^"), "random-env2": (PALETTE["training"], "P"),
+    "random-rooms": (PALETTE["run"], "X")}
+
+
+def draw_learning(rows):
+    """Success on new targets, collisions and stops in the lab against the episodes that a policy
+    learnt there; every seed, and the mean. rows: of lab.csv. Returns a Figure."""
+    figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
+    measures = {
+        "success on new targets [%]": lambda chosen: percentages(chosen, "new_success"),
+        "collisions in 100 episodes": collisions,
+        "stops an episode": stops}
+    panels = figure.subplots(1, 3)
+    for axes, (name, measure) in zip(panels, measures.items()):
+        for way in (*STARTS, *NO_LAB):
+            colour, mark = STYLES[way]
+            counts = EPISODES if way in STARTS else (0,)
+            seeds = [measure(select(rows, way=way, allowed=str(count))) for count in counts]
+            untouched = way.removeprefix("from-")
+            if untouched in WEIGHTS:
+                counts = (0, *counts)
+                seeds.insert(0, measure(select(rows, way=untouched)))
+            places = [(0, *EPISODES).index(count) for count in counts]
+            for x, values in zip(places, seeds):
+                axes.plot([x] * len(values), values, color=colour, marker=mark, ms=5, ls="none",
+                          alpha=0.5, mew=0)
+            axes.plot(places, [np.mean(values) for values in seeds], color=colour, marker=mark,
+                      ms=7, label=NAMES[way])
+        axes.set(xlabel="episodes in the lab", title=name, ylim=(0, None),
+                 xticks=range(1 + len(EPISODES)), xticklabels=[f"{n:,}" for n in (0, *EPISODES)])
+        axes.title.set_fontsize(9.5)
+        axes.grid(alpha=0.3)
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+    panels[0].set(ylim=(0, 103))
+    count, success = PAPER
+    panels[0].plot((0, *EPISODES).index(count), success, marker="*", ms=12, ls="none",
+                   color=PALETTE["robot"], label="the paper's robot")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    return figure
+
+
+# -------------------------------------------------------------------------- the paper's Fig. 8
+
+
+def driven_map(policy, target, seed):
+    """A drive in the lab: the robot, the Drive, and the map (OccupancyGrid) that it made."""
+    scene = scenes.load(ROOM)
+    robot = LabRobot(scene, target, seed)
+    log = drive(robot, policy, robot.goal)
+    grid = OccupancyGrid(scene.bounds)
+    for pose, readings in zip(log.poses, log.readings):
+        grid.add(pose, readings)
+    return robot, log, grid
+
+
+def draw_map_of(robot, log, grid, scene):
+    """The map, the true path and the one by odometry. Returns a Figure."""
+    figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
+    axes = figure.subplots()
+    low, high = grid.bounds
+    axes.imshow(1 - grid.probability.T, origin="lower", cmap="gray", vmin=0, vmax=1,
+                extent=(low[0], high[0], low[1], high[1]))
+    for box in scene.boxes:
+        corners = box.corners
+        axes.plot(*np.concatenate([corners, corners[:1]]).T, color=PALETTE["brick"], lw=1.2,
+                  label="the room" if box is scene.boxes[0] else None)
+    true = np.array(robot.true_poses)
+    believed = np.array(log.poses)
+    axes.plot(*true[:, :2].T, color=PALETTE["robot"], lw=1.8, label="true path")
+    axes.plot(*believed[:, :2].T, color=PALETTE["collision"], lw=1.8, ls="--",
+              label="path by odometry")
+    draw_target(axes, scene, robot.goal, ring=True)
+    draw_robot(axes, true[0])
+    axes.set(xlim=(low[0] - 0.1, high[0] + 0.1), ylim=(low[1] - 0.1, high[1] + 0.1),
+             aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+FILMED = {"target": 10, "seed": 3}  # the first new target; of an episode that arrives
+
+
 def draw_all():
     """Yields the name of each figure and the Figure."""
     yield "reality", draw_knobs()
+    if not (RESULTS / "lab.csv").exists():  # as long as it is not made
+        return
+    yield "lab", draw_learning(read_table(RESULTS / "lab.csv"))
+    model, _ = load_run(ROOT / "pretrained" / "lab.pt")
+    yield "lab-map", draw_map_of(*driven_map(TorchPolicy(model), **FILMED), scenes.load(ROOM))
 
 
 def main(argv=None):

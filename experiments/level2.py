@@ -170,19 +170,21 @@ def carry_over_rows(run):
     return rows
 
 
-def write_tables(ablations):
-    """The tables of all runs, and the weights of seed 0, whichever seed is the best. ablations:
-    whether those were made, too."""
+def write_tables():
+    """The tables of all runs, and the weights of seed 0, whichever seed is the best."""
     write_table("seeds.csv", [seed_row(run) for run in main_runs()])
     for name, make_rows in (("hidden.csv", hidden_rows), ("floor.csv", floor_rows),
                             ("curves.csv", curve_rows)):
         write_table(name, [row for run in main_runs() for row in make_rows(run)])
     write_carry_over()
-    if ablations:
-        write_table("ablations.csv", [seed_row(run) for run in ablation_runs()])
     for env in BUDGET:
         shutil.copy(Run(env, "varied", 0).folder / "model.pt",
                     runs.ROOT / "pretrained" / f"{env}.pt")
+
+
+def write_ablations():
+    """Makes ablations.csv."""
+    write_table("ablations.csv", [seed_row(run) for run in ablation_runs()])
 
 
 def write_carry_over():

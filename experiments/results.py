@@ -9,37 +9,47 @@ interrupted, it goes on where it was.
 import subprocess
 from dataclasses import dataclass
 
-from experiments import figures, level1, level2, level3, level_figures, runs, tables
+from experiments import (figures, lab, lab_figures, level1, level2, level3, level_figures, runs,
+                         tables)
 from support.command_line import CommandLine, option
 from support.interruption import interruption
+
+PARTS = {"1": level1, "2": level2, "3": level3, "lab": lab}  # in this order: the lab's runs begin
+#   with weights of levels 2 and 3
+FIGURES = {"2": figures, "3": level_figures, "lab": lab_figures}
 
 
 @dataclass
 class Options:
     """What to make."""
-    level: int = option(0, "this level of the paper alone; by default 0: all three", 0, 3)
+    level: str = option("", "this level of the paper alone, or the lab; by default all of them",
+                        choices=["", *PARTS])
     ablations: bool = option(False, "train and examine level 2's ablations too, seeds 0 to 2")
     planners: bool = option(False, "examine the planners alone, train nothing")
     jobs: int = option(2, "so many runs at a time, a core each", 1, 64)
 
 
 def wanted_runs(options):
-    """The runs that those options ask for."""
-    of_level = {1: level1.main_runs(), 2: level2.main_runs(), 3: level3.main_runs()}
+    """The runs that those options ask for: a key of PARTS -> a list."""
+    levels = [options.level] if options.level else PARTS
+    wanted = {level: PARTS[level].main_runs() for level in levels}
     if options.ablations:
-        of_level[2] += level2.ablation_runs()
-    levels = [options.level] if options.level else [1, 2, 3]
-    return [run for level in levels for run in of_level[level]]
+        wanted["2"] += level2.ablation_runs()
+    return wanted
 
 
-def write_tables(options):
-    """The tables in results/ of those runs."""
-    if options.level in (0, 1):
-        level1.write_tables()
-    if options.level in (0, 2):
-        level2.write_tables(options.ablations)
-    if options.level in (0, 3):
-        level3.write_tables()
+def make_all(wanted, options):
+    """Makes those runs, and level by level their tables in results/ and their figures."""
+    for level, level_runs in wanted.items():
+        runs.make_runs(level_runs, options.jobs)
+        PARTS[level].write_tables()
+    if options.ablations:
+        level2.write_ablations()
+    if not options.level:
+        write_planners()
+    for level in wanted:
+        if level in FIGURES:
+            FIGURES[level].main([])
 
 
 def write_planners():
@@ -57,24 +67,18 @@ def main(argv=None):
         parser.must_write_to(folder)
     if options.planners and options.level:
         parser.error(f"--level is {options.level}, with --planners it must be left out")
-    if options.ablations and options.level not in (0, 2):
+    if options.ablations and options.level not in ("", "2"):
         parser.error(f"--level is {options.level}, with --ablations it must be 2 or left out")
     try:
         if options.planners:
             write_planners()
         else:
             wanted = wanted_runs(options)
-            for run in wanted:
+            every = [run for level_runs in wanted.values() for run in level_runs]
+            for run in every:
                 run.check_options()
-            print(runs.expected(wanted, options.jobs), flush=True)
-            runs.make_runs(wanted, options.jobs)
-            write_tables(options)
-            if options.level == 0:
-                write_planners()
-            if options.level in (0, 2):
-                figures.main([])
-            if options.level in (0, 3):
-                level_figures.main([])
+            print(runs.expected(every, options.jobs), flush=True)
+            make_all(wanted, options)
         tables.main([])
     except runs.MadeOtherwise as error:
         parser.error(error)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import level_tables
+from experiments import lab_tables, level_tables
 from experiments.markdown import (markdown, mean_and_worst, percentages, select, with_interval,
                                   worst_first)
 from support.command_line import CommandLine
@@ -396,7 +396,8 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "rooms-learnt": (level_tables.rooms_learnt, ["level3.csv", "rooms.csv"]),
     "level3-ablations": (level_tables.level3_ablations, ["level3.csv", "rooms.csv"]),
     "carry-over": (level_tables.carry_over, ["carry-over.csv"]),
-    "level3-planners": (level_tables.level3_planners, ["level3-planners.csv"])}
+    "level3-planners": (level_tables.level3_planners, ["level3-planners.csv"]),
+    "lab": (lab_tables.lab, ["lab.csv"])}
 
 
 # -------------------------------------------------------------------------------------------- pages

@@ -240,6 +240,7 @@ def fake_call(calls, fail_at=None):
                 value = arguments[arguments.index(flag) + 1]
                 if value != "start" or "level3" in str(arguments[2]):
                     name += f"-hidden-{value}" if flag == "--hide" else f"-{value}"
+        name += "-ring" if "--ring" in arguments else ""
         (arguments[2] / f"{name}.json").write_text("{}")
     return call
 
@@ -304,7 +305,8 @@ def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "RUNS", tmp_path)
     calls = []
     monkeypatch.setattr(runs, "call", fake_call(calls))
-    everything = results.wanted_runs(results.Options(ablations=True))
+    wanted = results.wanted_runs(results.Options(ablations=True))
+    everything = [run for level_runs in wanted.values() for run in level_runs]
     for run in everything:
         run.make()
     configs = {}
@@ -315,7 +317,7 @@ def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
         else:
             assert call[:2] == ["-m", "evaluation"]
             read_command_line(call[2:])
-    assert len(configs) == len(everything) == 10 + 20 + 36 + 36
+    assert len(configs) == len(everything) == 10 + 20 + 36 + 36 + 33
     assert all(config.fixed_budget and config.workers == 1 for config in configs.values())
     assert all(int(name[-1]) == config.seed for name, config in configs.items())
     one_start = configs["level2-env2-one-start-seed2"]
@@ -324,6 +326,8 @@ def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
     assert configs["level1-maze0-seed4"].targets == "memorize"
     assert configs["level3-rooms-16-seed1"].rooms == 16
     assert {config.env for name, config in configs.items() if "level3" in name} == {"random"}
+    assert configs["lab-from-env2-300-seed1"].episodes == 300
+    assert {config.reality for name, config in configs.items() if "-random-" in name} == {"random"}
 
 
 def test_a_runs_rows_have_the_columns_of_the_published_tables(tmp_path, monkeypatch):

@@ -1,0 +1,113 @@
+"""The stand-in for the paper's real room (IV-C): policies of the simulation in the lab as they are,
+after learning there, and after learning under errors that are drawn. The runs and their tables in
+results/; `experiments.results` makes them. `docs/robot.md` says what the lab does."""
+
+import shutil
+from dataclasses import dataclass
+
+import scenes
+from evaluation.drivers import Policy
+from evaluation.examine import evaluate
+from experiments import runs
+from experiments.runs import OUTCOMES, rounded, write_table
+from robot.environment import RingVecEnv
+from sim import CONTROL_PERIOD
+from support.cores import available_cores
+from support.rooms import RANDOM
+from support.weights import load_run
+
+ROOM = "lab"
+MEASURED = (*OUTCOMES, "standing", "stops", "spl")
+WEIGHTS = ("env2", "any-room")  # of seed 0, in pretrained/
+STARTS = {  # to learn in the lab -> what it begins with
+    "from-env2": ["--init", "pretrained/env2.pt"],
+    "from-any-room": ["--init", "pretrained/any-room.pt"],
+    "from-scratch": []}
+# One room, which has no mirror; and updates of few episodes, for there are only some thousands.
+IN_THE_LAB = ["--env", ROOM, "--ring", "--mirrored", "0", "--robots", "16",
+              "--episodes-per-update", "16", "--minibatches", "1", "--learning-rate", "3e-4"]
+EPISODES = (300, 1000, 3000)  # in the lab; the paper's are 3,000
+MOST_STEPS = 2_000_000  # no run needs so many
+NO_LAB = {  # never in the lab: errors that are drawn anew each episode -> where, and how long
+    "random-env2": ["--env", "env2", "--steps", 400_000],
+    "random-rooms": ["--env", RANDOM, "--init", "pretrained/any-room.pt", "--steps", 1_000_000]}
+SEEDS = range(3)
+ANYWHERE_EPISODES = 500
+
+
+@dataclass(frozen=True)
+class Run(runs.Run):
+    """A run that learns in the lab, or for the lab. way: a key of STARTS or NO_LAB. allowed:
+    episodes in the lab."""
+    way: str
+    allowed: int
+    seed: int
+
+    stage = "lab"
+    tables = ("lab.csv",)
+
+    @property
+    def names(self):
+        return {"way": self.way, "allowed": self.allowed, "seed": self.seed}
+
+    @property
+    def training(self):
+        if self.way in NO_LAB:
+            return [*NO_LAB[self.way], "--seed", self.seed, "--reality", "random"]
+        return [*IN_THE_LAB, *STARTS[self.way], "--seed", self.seed,
+                "--episodes", self.allowed, "--steps", MOST_STEPS]
+
+    @property
+    def examinations(self):
+        return {"evaluation-lab-ring.json": ["--env", ROOM, "--ring"],
+                "evaluation-lab-anywhere-ring.json": [
+                    "--env", ROOM, "--ring", "--protocol", "anywhere",
+                    "--episodes", ANYWHERE_EPISODES]}
+
+
+def main_runs():
+    """All runs, the long ones first."""
+    without = [Run(way, 0, seed) for way in NO_LAB for seed in SEEDS]
+    return without + [Run(way, allowed, seed) for allowed in sorted(EPISODES, reverse=True)
+                      for way in STARTS for seed in SEEDS]
+
+
+def measured_columns(by_target, anywhere):
+    """What two examinations found, as columns of lab.csv. by_target: from the start pose to the
+    lab's targets. anywhere: from anywhere to anywhere."""
+    columns = {}
+    for kind in ("training", "new"):
+        columns |= rounded(by_target[kind], ("n", *MEASURED), f"{kind}_")
+    return columns | rounded(anywhere["anywhere"], ("n", *MEASURED), "anywhere_")
+
+
+def seed_row(run):
+    """A run's row of lab.csv. `hours`: what its episodes would take one robot in the lab."""
+    row = run.training_columns()
+    in_the_lab = row["steps"] if run.allowed else 0
+    row["hours"] = round(in_the_lab * CONTROL_PERIOD / 3600, 2)
+    return row | measured_columns(*map(run.read, run.examinations))
+
+
+def untouched_row(name):
+    """The row of lab.csv of the weights in pretrained/ of that name, which never were in the lab or
+    a room with errors."""
+    model, _ = load_run(runs.ROOT / "pretrained" / f"{name}.pt")
+    results = []
+    for protocol, actions, episodes in (("start", "sampled", 1000),
+                                        ("anywhere", "mean", ANYWHERE_EPISODES)):
+        driver = Policy(model, actions, seed=0)
+        result, _ = evaluate(driver, [scenes.load(ROOM)], episodes, protocol,
+                             environment=RingVecEnv, workers=len(available_cores()))
+        results.append(result)
+    nothing = dict.fromkeys(("steps", "episodes", "seconds", "hours"), 0)
+    return {"way": name, "allowed": 0, "seed": 0} | nothing | measured_columns(*results)
+
+
+def write_tables():
+    """The table of all runs, and the weights of seed 0 that learnt longest, whichever is the best.
+    """
+    write_table("lab.csv", [untouched_row(name) for name in WEIGHTS]
+                + [seed_row(run) for run in main_runs()])
+    learnt = Run("from-env2", EPISODES[-1], 0)
+    shutil.copy(learnt.folder / "model.pt", runs.ROOT / "pretrained" / "lab.pt")
