@@ -52,6 +52,8 @@ class Options:
     seed: int = option(0, "what all random numbers come from: another one, other episodes", 0)
     workers: int = option(0, "processes that share the episodes; by default 0: one for each core",
                           0, 64)
+    replay: bool = option(False, "write replay.html, too: episodes to watch in a browser, with "
+                          "what goes on in the network")
     json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
 
 
@@ -147,6 +149,20 @@ def film(examined, options):
     write(examined.folder / f"episode{examined.suffix}.gif", partial(write_film, trace))
 
 
+def write_replay(examined, options):
+    """Writes a page of some more episodes by the same protocol, in the first scene."""
+    from evaluation.replay import make_page
+
+    driver = examined.driver
+    scene = examined.scenes[0]
+    title = f"{examined.name} in {scene.name}, {conditions(options.protocol, '')}"
+    page = make_page(title, driver.model, driver.actions, scene, options.protocol, options.seed,
+                     examined.environment)
+    path = examined.folder / f"replay{examined.suffix}.html"
+    write(path, page)
+    print(f"watch it: {path}", file=sys.stderr)
+
+
 def read_command_line(argv):
     """The run, a path or None, the Options, and the parser, for later errors."""
     parser = CommandLine("Evaluate a frozen policy, or a planner, on fresh episodes.")
@@ -154,6 +170,8 @@ def read_command_line(argv):
     run = Path(options.run) if options.run else None
     if (run is None) == (options.planner == ""):
         parser.error("give either a run (a folder or a .pt file) or --planner")
+    if options.replay and options.planner:
+        parser.error("--replay needs a run: a planner has no network to look into")
     if options.hide and options.planner:
         parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
                      "told their target's position")
@@ -182,6 +200,8 @@ def main(argv=None):
         print(text if options.json else f"{heading(examined, options)}\n{table(result)}")
         draw(examined, traces, options)
         film(examined, options)
+        if options.replay:
+            write_replay(examined, options)
     except (WriteError, ProcessLost) as error:
         sys.exit(f"error: {error}")
 

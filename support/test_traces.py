@@ -142,3 +142,16 @@ def test_traces_of_the_real_environment_are_those_of_single_robots():
 def test_images_are_kept_where_they_are_asked_for_alone():
     driven = drive(Idle(), Script([[2]]), [1])
     assert driven[0].images is None
+
+
+def test_a_trace_holds_what_its_driver_thought_at_every_step():
+    class Thinker(TurnToTarget):
+        def act(self, env, observations):
+            self.thoughts = {"target": observations["target"]}
+            return super().act(env, observations)
+
+    env = NavVecEnv(3, ["env1"])
+    for trace in drive(Thinker(), env, quota=[2, 1, 2]):
+        distance = np.hypot(*(trace.goal - trace.poses[:-1, :2]).T)
+        assert np.allclose(trace.thoughts["target"][:, 0], distance, atol=1e-5)
+    assert drive(TurnToTarget(), env, quota=[1, 0, 0])[0].thoughts is None

@@ -25,6 +25,7 @@ class Trace:
     rewards: np.ndarray  # (T,)
     outcome: str  # one of OUTCOMES
     images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, where they were asked for
+    thoughts: dict | None = None  # of (T, ...) arrays, what the driver kept in its `thoughts`
     stops: int = 0  # periods in which the ring's sensors refused to drive on
     label: str = ""  # what a film says of the episode
 
@@ -71,13 +72,16 @@ class Recording:
         self.poses = [np.array([x, y, wrap_angle(theta)])]
         self.commands = []
         self.rewards = []
+        self.thoughts = []
         self.images = None
         if images:
             self.images = [observations["image"][r].copy()]
 
-    def add(self, observations, rewards, done, infos):
-        """One step, as the environment returns it. done: (R,) whether episodes ended by it."""
+    def add(self, observations, rewards, done, infos, thoughts):
+        """One step, as the environment returns it. done: (R,) whether episodes ended by it.
+        thoughts: of (R, ...) arrays, the driver's as it chose that step."""
         r = self.r
+        self.thoughts.append({name: value[r].copy() for name, value in thoughts.items()})
         self.poses.append(infos["pose"][r].copy())
         self.commands.append(infos["command"][r].copy())
         self.rewards.append(rewards[r])
@@ -100,6 +104,8 @@ class Recording:
             rewards=np.array(self.rewards),
             outcome=OUTCOMES[final_info["outcome"][self.r]],
             images=None if self.images is None else np.array(self.images),
+            thoughts={name: np.array([step[name] for step in self.thoughts])
+                      for name in self.thoughts[0]} or None,
             stops=int(final_info["stops"][self.r]) if "stops" in final_info else 0)
 
 
@@ -124,7 +130,8 @@ def drive(driver, env, quota, seed=0, images=False):
     which they end.
 
     driver: has `reset(env, robots)`, called with the indices of robots whose episodes begin, and
-    `act(env, observations)`, which returns actions (R, 2). env: a NavVecEnv. quota: (R,) how many
+    `act(env, observations)`, which returns actions (R, 2); and may have `thoughts`, a dict of
+    (R, ...) arrays that are worth keeping of its last `act`. env: a NavVecEnv. quota: (R,) how many
     episodes count, of each robot its first ones. seed: of the environment's random numbers.
     images: whether to keep what the camera saw. Raises ValueError for a quota of another shape.
 
@@ -147,7 +154,7 @@ def drive(driver, env, quota, seed=0, images=False):
         observations, rewards, terminated, truncated, infos = env.step(actions)
         done = terminated | truncated
         for recording in under_way.values():
-            recording.add(observations, rewards, done, infos)
+            recording.add(observations, rewards, done, infos, getattr(driver, "thoughts", {}))
         for r in np.flatnonzero(done & (left > 0)):
             traces.append(under_way.pop(r).trace(infos["final_info"]))
             bar.update()

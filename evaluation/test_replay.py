@@ -1,0 +1,157 @@
+"""Each test is the shortest proof of one claim about the replay in a browser."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import scenes
+from evaluation.__main__ import main
+from evaluation.replay import COLUMNS, as_sheet, as_strip, make_page
+from render import H, W
+from support.weights import load_run
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+PLAYED = """
+<script>
+const said = {errors: []};
+window.onerror = message => { said.errors.push(message); };
+const frame = () => Array.from($("camera").getContext("2d").getImageData(0, 0, 64, 48).data);
+setTimeout(() => {
+  const slider = $("time");
+  slider.value = STEP;
+  slider.dispatchEvent(new Event("input"));
+  said.scrubbed = robot.getAttribute("transform");
+  said.frame = frame();
+  document.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"}));
+  said.home = step;
+  document.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
+  said.right = step;
+  $("play").click();
+  setTimeout(() => {
+    said.played = step;
+    said.moved = robot.getAttribute("transform");
+    document.dispatchEvent(new KeyboardEvent("keydown", {key: " "}));
+    said.paused = step;
+    setTimeout(() => {
+      said.still = step;
+      choose(data.episodes.length - 1);
+      said.last = $("title").textContent + $("episode").selectedOptions[0].textContent;
+      const pre = document.createElement("pre");
+      pre.id = "said";
+      pre.textContent = JSON.stringify(said);
+      document.body.append(pre);
+    }, 500);
+  }, 1000);
+}, 500);
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def page():
+    """A page of the policy in pretrained/env1.pt."""
+    model, [scene, *_] = load_run("pretrained/env1.pt")
+    return make_page("the title", model, "mean", scene, "anywhere", seed=0)
+
+
+def content_of(page):
+    """The data of a page."""
+    return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def frames(url, count):
+    """The images (count, H, W, 3) of a data URL."""
+    sheet = np.array(Image.open(io.BytesIO(base64.b64decode(url.split(",")[1]))).convert("RGB"))
+    rows = sheet.reshape(-1, H, COLUMNS, W, 3).swapaxes(1, 2)
+    return rows.reshape(-1, H, W, 3)[:count]
+
+
+def test_a_sheet_holds_every_image_in_its_place():
+    flat = np.arange(20, dtype=np.uint8)[:, None, None, None]
+    images = np.broadcast_to(10 * flat, (20, H, W, 3))
+    assert np.array_equal(frames(as_sheet(images), 20), images)
+
+
+def test_a_strip_holds_every_value_in_its_place():
+    values = np.array([[0.0, 2.0], [-1.0, -2.0], [0.5, 1.0]])
+    strip = as_strip("name", values, 10)
+    read = np.frombuffer(base64.b64decode(strip["values"]), np.uint8).reshape(3, strip["units"])
+    assert np.allclose((read - 128.0) / 127 * 2, values, atol=0.01)
+
+
+def test_a_page_needs_nothing_from_elsewhere_and_is_small(page):
+    addresses = set(re.findall(r"https?://[^\"' ]+", page))
+    assert addresses <= {"http://www.w3.org/2000/svg"}  # a name, which nothing is loaded from
+    assert not re.search(r"<link|src=\"|@import", page)
+    assert len(page) < 2e6
+
+
+def test_a_page_shows_a_success_a_failure_and_a_hidden_cube(page):
+    episodes = content_of(page)["episodes"]
+    assert [episode["hidden"] for episode in episodes] == [False, False, True]
+    assert episodes[0]["outcome"] == "arrival" != episodes[1]["outcome"]
+    for episode in episodes:
+        T = len(episode["commands"])
+        assert len(episode["poses"]) == T + 1
+        assert len(episode["rewards"]) == len(episode["values"]) == T
+        blue = (frames(episode["images"], T + 1) == (20, 20, 235)).all(-1).any()
+        assert [strip["units"] for strip in episode["strips"]] == [32, 256, 256]
+        assert not (blue and episode["hidden"])
+
+
+def test_the_shortest_way_leads_from_the_start_to_the_goal(page):
+    episode = content_of(page)["episodes"][0]
+    way = np.array(episode["shortest"])
+    assert np.allclose(way[0], episode["poses"][0][:2], atol=1e-3)
+    assert np.hypot(*(way[-1] - episode["goal"])) < 0.18
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
+def test_in_a_browser_play_moves_the_robot_and_scrubbing_shows_the_right_image(page, tmp_path):
+    episode = content_of(page)["episodes"][0]
+    T = len(episode["commands"])
+    middle = T // 2
+    file = tmp_path / "replay.html"
+    file.write_text(page.replace("</body>", PLAYED.replace("STEP", str(middle)) + "</body>"))
+    shown = subprocess.run([CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
+                            "--virtual-time-budget=8000", file.as_uri()], capture_output=True,
+                           text=True, timeout=300).stdout
+    said = json.loads(re.search(r'<pre id="said">(.*?)</pre>', shown, re.DOTALL)[1]
+                      .replace("&amp;", "&"))
+    assert said["errors"] == []
+    x, y, theta = episode["poses"][middle]
+    numbers = [float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", said["scrubbed"])]
+    assert np.allclose(numbers, [x, -y, -np.degrees(theta)], atol=1e-3)
+    seen = np.array(said["frame"]).reshape(H, W, 4)[..., :3]
+    assert np.array_equal(seen, frames(episode["images"], T + 1)[middle])
+    assert said["home"] == 0 and said["right"] == 1
+    assert said["played"] > 3 and said["moved"] != said["scrubbed"]
+    assert said["paused"] == said["still"] >= said["played"]
+    assert said["last"].startswith("the title") and "hidden" in said["last"]
+
+
+def test_the_command_line_writes_it_and_a_planner_has_none(tmp_path, monkeypatch, capsys):
+    weights = tmp_path / "env1.pt"
+    shutil.copy("pretrained/env1.pt", weights)
+    monkeypatch.chdir(tmp_path)
+    main([str(weights), "--episodes", "3", "--workers", "1", "--replay"])
+    assert "watch it: " in capsys.readouterr().err
+    page = (tmp_path / "evaluations" / "env1" / "replay.html").read_text()
+    assert content_of(page)["title"] == "env1 in env1, protocol start"
+    with pytest.raises(SystemExit) as end:
+        main(["--planner", "bug", "--replay"])
+    assert end.value.code == 2
+    assert "--replay needs a run" in capsys.readouterr().err
+
+
+def test_random_rooms_have_a_replay_too():
+    model, _ = load_run("pretrained/any-room.pt")
+    page = make_page("any", model, "mean", scenes.load("random:3"), "anywhere", seed=1)
+    assert len(content_of(page)["boxes"]) > 4
