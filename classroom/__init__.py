@@ -1,0 +1,1 @@
+"""For a class: what a teacher needs beside the lesson (docs/class.md)."""
