@@ -1,0 +1,100 @@
+"""The drives of a class in one figure: `python -m classroom.pool FOLDER`, where the folder holds
+the drives.csv of each, under any names.
+
+Whoever drove the same room by the same seed drove the same tasks, and so did the policy that is
+drawn beside them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import scenes
+from classroom.drive import COLUMNS, policy_for, same_tasks
+from evaluation import summarise
+from sim import SceneError
+from support.command_line import CommandLine, option
+from support.pictures import PALETTE, WIDTH, read_table
+
+
+@dataclass
+class Options:
+    """What to draw."""
+    folder: str = option("drives", "with the drives.csv of each, under any names", positional=True)
+
+
+def read_drives(parser, folder):
+    """All rows of a folder's CSV files. Ends with a message where one is no such file."""
+    files = sorted(Path(folder).rglob("*.csv"))
+    if not files:
+        parser.error(f"there is no CSV file in '{folder}'")
+    rows = []
+    names = set()
+    for file in files:
+        try:
+            read = read_table(file)
+        except (OSError, UnicodeDecodeError):
+            parser.error(f"'{file}' cannot be read")
+        if not read or set(read[0]) != set(COLUMNS):
+            parser.error(f"'{file}' is no table of drives: its columns must be "
+                         f"{', '.join(COLUMNS)}")
+        again = names & {row["name"] for row in read}
+        if again:
+            parser.error(f"'{min(again)}' drives in two files: drive with another --name")
+        names |= {row["name"] for row in read}
+        rows += read
+    return rows
+
+
+def by_driver(rows):
+    """Each driver's share of arrivals [%] and mean SPL: name -> (success, SPL), the worst first."""
+    found = {}
+    for name in {row["name"] for row in rows}:
+        own = [row for row in rows if row["name"] == name]
+        success = 100 * np.mean([row["outcome"] == "arrival" for row in own])
+        found[name] = success, np.mean([float(row["spl"]) for row in own])
+    return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def draw(drivers, learner, title):
+    """Success and SPL of each driver, and the learner's as a line. drivers: as of `by_driver`.
+    learner: its (success, SPL). Returns a Figure."""
+    figure = Figure(figsize=(WIDTH, 1.2 + 0.35 * len(drivers)), layout="constrained")
+    names = list(drivers)
+    for axes, k, label in zip(figure.subplots(1, 2, sharey=True), (0, 1), ("arrives [%]", "SPL")):
+        axes.barh(names, [drivers[name][k] for name in names], color=PALETTE["run"], height=0.6)
+        axes.axvline(learner[k], color=PALETTE["arrival"], lw=2, label="the learner")
+        axes.set(xlabel=label, xlim=(0, (105, 1.05)[k]))
+        axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, loc="lower right")
+    figure.suptitle(title, parse_math=False)
+    return figure
+
+
+def main(argv=None):
+    """The command line."""
+    parser = CommandLine("Draw the drives of a class into drives.png.")
+    rows = read_drives(parser, parser.read(Options, argv).folder)
+    tasks = {(row["env"], row["seed"]) for row in rows}
+    if len(tasks) > 1:
+        shown = ", ".join(sorted(f"{env} with seed {seed}" for env, seed in tasks))
+        parser.error(f"these are drives in {shown}: only drives of the same tasks can be compared")
+    [(env, seed)] = tasks
+    try:
+        scene = scenes.load(env)
+    except SceneError as error:
+        parser.error(error)
+    policy, _ = policy_for(scene)
+    episodes = 1 + max(int(row["episode"]) for row in rows)
+    result = summarise(same_tasks(policy, scene, episodes, int(seed)))
+    drivers = by_driver(rows)
+    figure = draw(drivers, (100 * result["success"], result["spl"]),
+                  f"{env}, {len(drivers)} drivers, {episodes} tasks")
+    figure.savefig(Path("drives.png"), dpi=110)
+    print("drives.png")
+
+
+if __name__ == "__main__":
+    main()

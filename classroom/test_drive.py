@@ -1,0 +1,143 @@
+"""Each test is the shortest proof of one claim about driving oneself."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenes
+from classroom import drive, pool
+from evaluation import Planned
+from navbot_min import NavVecEnv
+from support.pictures import read_table
+
+ROOT = Path(__file__).parent.parent
+HAS_SCREEN = all(map(shutil.which, ("Xvfb", "xdotool")))
+ENV1 = scenes.load("env1")
+
+
+class Keys:
+    """A cockpit at which these keys are held, and what it showed."""
+
+    pressed = {"up"}
+
+    def __init__(self, *keys):
+        self.keys = set(keys)
+        self.shown = []
+
+    def show(self, image, text, goal, pose):
+        self.shown.append(text)
+
+    def wait(self, is_over):
+        return self.keys
+
+
+@pytest.mark.parametrize("keys, action", [
+    ((), (0, 0)), (("up",), (1, 0)), (("up", "left"), (1, 1)), (("right", "x"), (0, -1)),
+    (("left", "right"), (0, 0))])
+def test_held_keys_become_an_action(keys, action):
+    env = NavVecEnv(1, [ENV1])
+    seen, _ = env.reset(seed=0)
+    you = drive.You(Keys(*keys))
+    you.reset(env, [0])
+    assert np.array_equal(you.act(env, seen), [action])
+
+
+def test_it_is_told_what_the_policy_is_told():
+    env = NavVecEnv(1, [ENV1])
+    env.reset(seed=0)
+    cockpit = Keys("up")
+    you = drive.You(cockpit)
+    you.reset(env, [0])
+    seen = {"image": np.zeros((1, 48, 64, 3)), "target": np.array([[2.5, -np.pi / 6]]),
+            "last_reward": np.array([[-0.05]])}
+    you.act(env, seen)
+    you.act(env, seen)
+    assert "target 2.50 m, 30 deg to the right" in cockpit.shown[0]
+    assert "press an arrow key" in cockpit.shown[0]
+    assert "last reward -0.1, 80 s left" in cockpit.shown[1]
+
+
+def test_all_drivers_have_the_same_tasks():
+    ways = [drive.same_tasks(driver, ENV1, 4, seed=7)
+            for driver in (Planned("oracle", 0), Planned("straight", 0))]
+    for one, other in zip(*ways):
+        assert np.array_equal(one.start, other.start) and np.array_equal(one.goal, other.goal)
+    assert len({trace.start.tobytes() for trace in ways[0]}) == 4
+
+
+def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for file, name, planner, seed in (("class/a", "anna", "oracle", 0),
+                                      ("class/b", "ben", "straight", 0),
+                                      ("seeds/a", "anna", "oracle", 0),
+                                      ("seeds/c", "cem", "bug", 1),
+                                      ("twice/a", "anna", "bug", 0), ("twice/b", "anna", "bug", 0)):
+        options = drive.Options(name=name, seed=seed)
+        traces = drive.same_tasks(Planned(planner, 0), ENV1, 3, seed)
+        path = Path(f"{file}.csv")
+        path.parent.mkdir(exist_ok=True)
+        drive.add_rows(path, options, ENV1, traces[:2])
+        drive.add_rows(path, options, ENV1, traces[2:])
+    rows = read_table("class/a.csv") + read_table("class/b.csv")
+    assert len(rows) == 6
+    drivers = pool.by_driver(rows)
+    assert list(drivers) == ["ben", "anna"]
+    assert drivers["anna"] == pytest.approx((100, 1), abs=0.02)
+    figure = pool.draw(drivers, (50.0, 0.4), "a title")
+    assert [bar.get_width() for bar in figure.axes[0].patches] == [drivers["ben"][0], 100]
+    Path("other").mkdir()
+    Path("other/notes.csv").write_text("a,b\n1,2\n")
+    for folder, words in (("seeds", "only drives of the same tasks"),
+                          ("twice", "'anna' drives in two files"),
+                          ("other", "is no table of drives"), ("none", "there is no CSV file")):
+        with pytest.raises(SystemExit) as end:
+            pool.main([folder])
+        assert end.value.code == 2 and words in capsys.readouterr().err
+    pool.main(["class"])
+    assert Path("drives.png").exists()
+
+
+def test_without_a_display_it_says_what_to_do():
+    environment = {key: value for key, value in os.environ.items()
+                   if key not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")}
+    ended = subprocess.run([sys.executable, "-m", "classroom.drive"], cwd=ROOT, text=True,
+                           env=environment, capture_output=True)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: no window can be opened here")
+    assert "sit before the machine" in ended.stderr and ended.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(not HAS_SCREEN, reason="there is no Xvfb or no xdotool")
+def test_on_a_screen_the_arrow_keys_drive(tmp_path):
+    pytest.importorskip("tkinter")
+    read, write = os.pipe()
+    screen = subprocess.Popen(["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24"],
+                              pass_fds=[write], stderr=subprocess.DEVNULL)
+    environment = os.environ | {"DISPLAY": ":" + os.read(read, 9).decode().strip()}
+    program = subprocess.Popen([sys.executable, "-m", "classroom.drive", "--episodes", "1",
+                                "--map", "--name", "anna", "--out", str(tmp_path)], cwd=ROOT,
+                               env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        def key(*words):
+            return subprocess.run(["xdotool", *words], env=environment, check=False).returncode
+        deadline = time.monotonic() + 120
+        while key("search", "--onlyvisible", "--name", "navbot_min", "windowfocus"):
+            assert time.monotonic() < deadline and program.poll() is None
+            time.sleep(0.2)
+        time.sleep(2)
+        key("keydown", "Up")  # held: it drives until it touches something
+        said, _ = program.communicate(timeout=240)
+    finally:
+        program.kill()
+        screen.kill()
+    [row] = read_table(tmp_path / "drives.csv")
+    assert row["name"] == "anna" and row["outcome"] in ("collision", "arrival")
+    # As fast as it can, but for the first and the last period.
+    assert float(row["metres"]) == pytest.approx(0.3 * float(row["seconds"]), abs=0.25)
+    assert (tmp_path / "paths.png").exists() and "learner (env1.pt)" in said
