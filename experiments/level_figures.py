@@ -63,7 +63,7 @@ def draw_rooms(rooms, released):
 
 def draw_rooms_learnt(runs, tests):
     """Success from anywhere to anywhere against the number of rooms that were learnt in: there, in
-    random rooms that were not, and in the released rooms; every seed, and the mean.
+    random rooms that were not, and in the test rooms; every seed, and the mean.
 
     runs, tests: rows of level3.csv and rooms.csv. Returns a Figure.
     """
@@ -71,20 +71,21 @@ def draw_rooms_learnt(runs, tests):
     axes = figure.subplots()
     each = [of_seeds(runs, tests, f"rooms-{rooms}") for rooms in ROOMS]
     training, unseen, released = zip(*each)
-    for values, colour, mark, name in (
-            (training, PALETTE["training"], "s", "the rooms that it learnt in"),
-            (unseen, PALETTE["new"], "o", "random rooms that it never saw"),
-            (released, PALETTE["run"], "^", "the released rooms, which it never saw either")):
+    for shift, values, colour, mark, name in (
+            (-0.07, training, PALETTE["training"], "s", "the rooms that it learnt in"),
+            (0.0, unseen, PALETTE["new"], "o", "random rooms that it never saw"),
+            (0.07, released, PALETTE["run"], "^", "the test rooms, which it never saw either")):
         for x, seeds in enumerate(values):
-            axes.plot([x] * len(seeds), seeds, color=colour, marker=mark, ms=5, ls="none",
+            axes.plot([x + shift] * len(seeds), seeds, color=colour, marker=mark, ms=5, ls="none",
                       alpha=0.6, mew=0)
-        axes.plot([np.mean(seeds) for seeds in values], color=colour, marker=mark, ms=7,
+        means = [np.mean(seeds) for seeds in values]
+        axes.plot(np.arange(len(values)) + shift, means, color=colour, marker=mark, ms=7,
                   label=name)
     axes.set(xticks=range(len(ROOMS)), xticklabels=[*map(str, ROOMS[:-1]), EVER_NEW],
              xlabel="rooms learnt in", ylabel="success from anywhere\nto anywhere [%]",
-             ylim=(0, 103))
+             ylim=(30, 103))
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(frameon=False, loc="upper right")
     return figure
 
 

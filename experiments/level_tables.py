@@ -9,7 +9,7 @@ from experiments.markdown import (markdown, percentages, select, with_interval,
 from support.rooms import EVERY, RandomRooms
 from train import Config
 
-LEARNERS = RandomRooms(Config(), []).learners  # robots that are learnt from
+LEARNERS = RandomRooms(Config(), []).learning  # robots that are learnt from
 EVER_NEW = f"{LEARNERS * BUDGET // EVERY} new ones"  # each drives EVERY steps of all in a room
 NETWORKS = {  # column `way` of level3.csv
     "rooms-0": "as it is",

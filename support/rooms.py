@@ -114,7 +114,8 @@ class RandomRooms:
     def __init__(self, config, scenes):
         """scenes: those for validation."""
         self.validation = scenes
-        self.learners = config.robots - config.robots // ROBOTS_PER_WATCHED  # the first ones
+        watched = max(config.robots // ROBOTS_PER_WATCHED, 1 if config.robots > 1 else 0)
+        self.learning = config.robots - watched  # the first ones are learnt from
         self.first_room = FIRST_ROOM * (1 + config.seed % MOST_RUNS)
         self.rooms = config.rooms or FIRST_ROOM  # how many there are; 0: ever new ones
         self.every = EVERY * config.robots / 64  # steps from one move to the next
@@ -122,8 +123,8 @@ class RandomRooms:
         self._made = {}  # number -> the Scene, since the last move
 
     def number(self, r):
-        """The number of the room that robot r, a learner, drives in."""
-        k = r + self.moves * self.learners
+        """The number of the room that robot r, which is learnt from, drives in."""
+        k = r + self.moves * self.learning
         return self.first_room + k % self.rooms
 
     def of_robot(self, r):
@@ -137,12 +138,12 @@ class RandomRooms:
 
     def is_watched(self, r):
         """Whether robot r only shows how the policy does, and nothing is learnt from it."""
-        return r >= self.learners
+        return r >= self.learning
 
     def by_kind(self):
         """The Scenes for the evaluation after training: of the rooms that it learnt in last, as
         many as there are for validation, and these."""
-        numbers = list(dict.fromkeys(map(self.number, range(self.learners))))[:VALIDATION_ROOMS]
+        numbers = list(dict.fromkeys(map(self.number, range(self.learning))))[:VALIDATION_ROOMS]
         return {"training": [generate.room(k) for k in numbers], "new": self.validation}
 
     def due(self, steps):

@@ -26,12 +26,12 @@ def random_rooms(**options):
 
 
 def visited(stays, moves):
-    """The rooms' numbers that the learners drive in, a list for each time between two moves."""
-    numbers = [[stays.number(r) for r in range(stays.learners)]]
+    """The rooms' numbers that are learnt in, a list for each time between two moves."""
+    numbers = [[stays.number(r) for r in range(stays.learning)]]
     for k in range(moves):
         assert not stays.move((k + 1) * 50_000 - 1)
         assert stays.move((k + 1) * 50_000)
-        numbers.append([stays.number(r) for r in range(stays.learners)])
+        numbers.append([stays.number(r) for r in range(stays.learning)])
     return numbers
 
 
@@ -45,7 +45,7 @@ def test_no_room_is_learnt_in_by_two_runs_and_none_is_for_validation():
     for robots in (1, 64, 4096):
         longest = random_rooms(seed=0, robots=robots)
         longest.moves = longest.due(10 ** 9)
-        assert max(map(longest.number, range(longest.learners))) < min(runs[1])
+        assert max(map(longest.number, range(longest.learning))) < min(runs[1])
     assert [room.name for room in rooms.validation_scenes()] == [f"random-{k}" for k in range(16)]
 
 
@@ -61,8 +61,8 @@ def test_of_ever_new_rooms_every_robot_gets_one_at_every_move():
     assert len(set(sum(numbers, []))) == 9 * 60
 
 
-@pytest.mark.parametrize("robots, watching", [(1, 0), (15, 0), (16, 1), (64, 4)])
-def test_one_robot_of_16_watches_and_all_rooms_for_validation_have_their_turn(robots, watching):
+@pytest.mark.parametrize("robots, watching", [(1, 0), (2, 1), (15, 1), (16, 1), (64, 4)])
+def test_one_robot_of_16_or_fewer_watches_and_all_rooms_for_validation_have_their_turn(robots, watching):
     stays = rooms.RandomRooms(train.Config(env="random", robots=robots), ["a", "b", "c"])
     watchers = [r for r in range(robots) if stays.is_watched(r)]
     assert len(watchers) == watching
@@ -183,7 +183,7 @@ def test_memory_does_not_grow_over_30_moves(quick):
             assert run.rooms.move((k + 1) * 400)
             run.enter_rooms()
             run.collect()
-        # By 5 moves all of the learners have moved on.
+        # By 5 moves all that are learnt from have moved on.
         assert not any(thing() for things in left[:-4] for thing in things)
     finally:
         gc.enable()
