@@ -198,6 +198,11 @@ GOOD = world(model(links_of(around(("wood", 0.6, 0.6, 0, 0.3, 0.3, 0.6)))))
     ("<light", "<include><uri>model://table</uri></include><light", "it includes 'model://table'"),
     ("<model name='room'>", "<model name='room'><include/>", "it includes ''"),
     ("<model name='room'>", "<model name='room'><model/>", "'room' holds another model"),
+    ("</world>", "<model name='b'><model/></model></world>", "'b' holds another model"),
+    ("</world>", "<population><model/></population></world>", "it has population, it must hold"),
+    ("</world>", "<state><insertions><model/></insertions></state></world>", "it has insertions"),
+    ("</world>", "<state><deletions><name>room</name></deletions></state></world>", "deletions"),
+    ("<normal>0 0 1<", "<normal>1 0 0<", "'ground_plane' is a plane that is no floor"),
     ("</world>", model(links_of([WALL])) + "</world>", "two models with boxes have the name"),
     ("</world>", model(links_of([WALL] * (MOST_BOXES - 4)), name="b") + "</world>", "than 512"),
     ("</world>", "<state><model name='room'><scale>2 1 1</scale></model></state></world>",
@@ -209,12 +214,15 @@ GOOD = world(model(links_of(around(("wood", 0.6, 0.6, 0, 0.3, 0.3, 0.6)))))
     ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 0 0.1", "has roll 0.1 and pitch -0, both must be 0"),
     ("<pose>0.6 0.6", "<pose frame='map'>0.6 0.6", "pose is in the frame 'map', it must name none"),
     ("<pose>0.6 0.6", "<pose relative_to='a'>0.6 0.6", "pose is in the frame 'a'"),
+    ("<pose>0.6 0.6", "<pose degrees='true'>0.6 0.6", "'room'.pose is not in radians"),
+    ("<pose>0.6 0.6", "<pose/><pose>0.6 0.6", "'Wall_4' of 'room' has 2 poses, it must have one"),
     ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 1 0", "'Wall_4' of 'room' begins 1.00 m above the floor"),
     ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 -0.2 0", "begins -0.20 m above the floor"),
     (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "'room'.size[2] is -0.6, it must be above 0"),
     (">0.3 0.3 0.6<", "><", "'room'.size is '', it must be 3 numbers"),
     (">0.3 0.3 0.6<", ">0.3 0.3 0.1<", "begins 0.25 m above"),
     ("<box><size>0.3 0.3 0.6</size></box>", "<cylinder/>", "is a 'cylinder', it must be one box"),
+    ("0.6</size></box>", "0.6</size></box></geometry><geometry><cylinder/>", "has 2 shapes"),
     ("Wall_0", "Wall_1", "the boxes enclose no place that the robot fits into")])
 def test_a_world_that_is_no_room_is_one_sentence(old, new, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -73,7 +73,7 @@ def read_boxes(text):
     """The boxes of an SDF file's text, a list of (what, table): what messages call it, and a table
     like that of a box in a scene file, but with its `yaw` in radians. Raises SceneError."""
     world = read_world(text)
-    _check_includes(world)
+    _check_elsewhere(world)
     states = defaultdict(list)
     for state in world.findall("state/model"):
         states[state.get("name")].append(state)
@@ -106,11 +106,18 @@ def read_world(text):
     return worlds[0]
 
 
-def _check_includes(world):
-    """Refuses models that stand in files of their own: the room would lack them."""
-    for include in [*world.findall("include"), *world.findall("model/include")]:
+def _check_elsewhere(world):
+    """Refuses what the room would lack: models that stand in files of their own, in one another, or
+    that Gazebo makes or takes away by itself."""
+    for include in world.iter("include"):
         uri = (include.findtext("uri") or "").strip()
         check(uri in LEFT_OUT, f"it includes {shown(uri)}, it must hold the model itself")
+    for model in world.findall("model"):
+        check(model.find("model") is None, f"model {shown(model.get('name'))} holds another model, "
+                                           "it must hold links alone")
+    for tag in ("population", "insertions", "deletions"):
+        check(not any(len(element) for element in world.iter(tag)),
+              f"it has {tag}, it must hold each model where it stands")
 
 
 def _boxes_of(model, states):
@@ -121,7 +128,6 @@ def _boxes_of(model, states):
         return []
     model_name = shown(model.get("name"))
     what = f"model {model_name}"
-    check(model.find("model") is None, f"{what} holds another model, it must hold links alone")
     place = pose_of(model, what)
     links = {}
     for state in states:
@@ -167,10 +173,15 @@ def is_solid(link):
 def read_box(collision, place, what):
     """The pose and size of a collision, those of a scene file's box; None where it is the floor.
     place: its link's pose in the world."""
-    geometry = collision.find("geometry")
-    shapes = [] if geometry is None else [shape.tag for shape in geometry]
-    if shapes in ([], ["plane"], ["empty"]):
+    shapes = [shape.tag for geometry in collision.findall("geometry") for shape in geometry]
+    if shapes in ([], ["empty"]):
         return None
+    geometry = collision.find("geometry")
+    if shapes == ["plane"]:
+        normal = numbers(geometry.findtext("plane/normal", "0 0 1"), 3, f"{what}.normal")
+        check(normal[:2] == [0, 0], f"{what} is a plane that is no floor, its normal must be 0 0 1")
+        return None
+    check(len(shapes) == 1, f"{what} has {len(shapes)} shapes, it must have one")
     check(shapes == ["box"], f"{what} is a {shown(shapes[0])}, it must be one box")
     size = geometry.findtext("box/size", "")
     length, thickness, height = numbers(size, 3, f"{what}.size", above=0)
@@ -187,9 +198,14 @@ def read_box(collision, place, what):
 def pose_of(element, what, otherwise=NO_POSE):
     """The upright pose (x, y, z, yaw) [m, rad] that an element states, or another one where it
     states none."""
-    pose = element.find("pose")
-    if pose is None:
+    poses = element.findall("pose")
+    if not poses:
         return otherwise
+    check(len(poses) == 1, f"{what} has {len(poses)} poses, it must have one")
+    [pose] = poses
+    for attribute in ("degrees", "rotation_format"):
+        check(pose.get(attribute, "false") in ("false", "0", "euler_rpy"),
+              f"{what}.pose is not in radians, it must be roll, pitch and yaw in radians")
     for frame in (pose.get("frame"), pose.get("relative_to")):
         check(not frame, f"{what}.pose is in the frame {shown(frame)}, it must name none")
     x, y, z, roll, pitch, yaw = numbers(pose.text, 6, f"{what}.pose")
