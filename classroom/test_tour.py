@@ -1,0 +1,24 @@
+"""The tour runs from top to bottom, and what it shows is saved."""
+
+from pathlib import Path
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat", reason="pip install -r classroom/requirements.txt")
+nbclient = pytest.importorskip("nbclient", reason="pip install -r classroom/requirements.txt")
+TOUR = Path(__file__).parent / "tour.ipynb"
+
+
+def test_the_tour_runs_from_top_to_bottom():
+    tour = nbformat.read(TOUR, 4)
+    where = {"metadata": {"path": str(TOUR.parent)}}  # as an editor begins it
+    nbclient.NotebookClient(tour, timeout=1200, resources=where).execute()  # raises where it fails
+
+
+def test_what_it_shows_is_saved_with_it():
+    cells = [cell for cell in nbformat.read(TOUR, 4).cells if cell.cell_type == "code"]
+    assert all(cell.outputs for cell in cells[1:])  # the first one imports
+    pictures = [output for cell in cells for output in cell.outputs
+                if "image/png" in output.get("data", {})]
+    assert len(pictures) >= 6
+    assert TOUR.stat().st_size < 1e6
