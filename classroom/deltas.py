@@ -1,0 +1,113 @@
+"""What single lines of the learner are good for: `python -m classroom.deltas`.
+
+Each delta is the lesson but for a line or two. It trains each with three seeds in env1, with the
+paper's two training targets and from any start, and draws success against steps into
+pictures/delta-*.png. A run that is there already is not trained again. docs/deltas.md tells what to
+see.
+"""
+
+import csv
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import scenes
+import train
+from evaluation import Policy, evaluate
+from ppo import Collector
+from support.command_line import CommandLine
+from support.pictures import PALETTE, WIDTH, read_table
+from support.processes import OneProcess
+from train import Config, Training
+
+PICTURES = Path(__file__).parent.parent / "pictures"
+RESULT = Path(__file__).parent.parent / "results" / "deltas.csv"
+STEPS = 120_000
+SEEDS = (0, 1, 2)
+WINDOW = 100  # episodes that a point of a curve looks back on
+EPISODES = 300  # of the frozen evaluation
+LESSON = "the lesson"
+
+
+class TimeLimitsAreFailures(Collector):
+    """Where time ran out nothing is expected to come, as if the episode had ended for good."""
+
+    def _last_values(self, truncated, infos):
+        return np.zeros(len(truncated))
+
+
+DELTAS = {  # name -> options of the training, and the collector
+    LESSON: ({}, Collector),
+    "lambda": ({"lam": 1.0}, Collector),
+    "clipping": ({"clip": 1e9}, Collector),
+    "time-limits": ({}, TimeLimitsAreFailures)}
+TITLES = {"lambda": "lambda = 1: no GAE", "clipping": "no clipping",
+          "time-limits": "time limits are failures"}
+
+
+def learn(name, seed, steps=STEPS):
+    """A row for each WINDOW training episodes of one training: `delta`, `seed`, `steps`, `success`
+    over these, and `frozen`, that of the policy at the end from anywhere to anywhere."""
+    options, collector = DELTAS[name]
+    config = Config(env="env1", seed=seed, steps=steps, fixed_budget=True, **options)
+    scene = scenes.load("env1")
+    with patch.object(train, "Collector", collector):
+        training = Training(config, [scene], OneProcess())
+        train.train(training)
+    result, _ = evaluate(Policy(training.model, "mean", seed), [scene], EPISODES, "anywhere")
+    episodes = [row for row in training.record.episodes if row["kind"] == "training"]
+    rows = []
+    for end in range(WINDOW, len(episodes) + 1, WINDOW):
+        arrived = [row["outcome"] == "arrival" for row in episodes[end - WINDOW:end]]
+        rows.append({"delta": name, "seed": seed, "steps": episodes[end - 1]["steps"],
+                     "success": round(float(np.mean(arrived)), 2),
+                     "frozen": round(result["anywhere"]["success"], 3)})
+    return rows
+
+
+def draw(rows, name):
+    """Success of the lesson and of a delta against steps, every seed. rows: of deltas.csv. Returns
+    a Figure."""
+    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for delta, colour, title in ((LESSON, PALETTE["paper"], LESSON),
+                                 (name, PALETTE["run"], TITLES[name])):
+        for k, seed in enumerate(map(str, SEEDS)):
+            own = [row for row in rows if row["delta"] == delta and row["seed"] == seed]
+            axes.plot([int(row["steps"]) for row in own],
+                      [100 * float(row["success"]) for row in own], color=colour, lw=1.8,
+                      label=title if k == 0 else None)
+    axes.set(xlabel="steps, all robots' together", ylim=(-2, 103),
+             ylabel=f"success on training targets,\nlast {WINDOW} episodes [%]")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, loc="lower right")
+    return figure
+
+
+def main(argv=None):
+    """The command line."""
+    parser = CommandLine("Train what differs from the lesson by a line or two, and draw it.")
+    parser.parse(argv)
+    for folder in (RESULT.parent, PICTURES):
+        parser.must_write_to(folder)
+    rows = read_table(RESULT) if RESULT.exists() else []
+    made = {(row["delta"], row["seed"]) for row in rows}
+    for name in DELTAS:
+        for seed in SEEDS:
+            if (name, str(seed)) in made:
+                continue
+            rows += learn(name, seed)
+            with open(RESULT, "w", newline="") as file:
+                writer = csv.DictWriter(file, rows[0])
+                writer.writeheader()
+                writer.writerows(rows)
+    rows = read_table(RESULT)
+    for name in TITLES:
+        draw(rows, name).savefig(PICTURES / f"delta-{name}.png", dpi=110)
+        print(f"pictures/delta-{name}.png")
+
+
+if __name__ == "__main__":
+    main()
