@@ -2,8 +2,7 @@
 
 Each delta is the lesson but for a line or two. It trains each with three seeds in env1, with the
 paper's two training targets and from any start, and draws success against steps into
-pictures/delta-*.png. A run that is there already is not trained again. docs/deltas.md tells what to
-see.
+pictures/delta-*.png. A run that is there already is not trained again.
 """
 
 import csv
