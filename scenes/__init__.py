@@ -59,6 +59,7 @@ def load(name_or_path):
     what = f"scene file {shown_path(path)}"
     try:
         exists = path.is_file()
+        check(exists or not path.suffix or not path.exists(), f"{what} is no file")
         check(exists or not path.suffix, f"{what} does not exist")
         check(exists, f"unknown scene {shown_path(path)}: it must be one of {', '.join(names())}, "
                       "or a scene file's path")
@@ -75,7 +76,7 @@ def load(name_or_path):
 
 def is_world(name_or_path):
     """Whether that names a Gazebo world."""
-    return Path(name_or_path).suffix == WORLD
+    return Path(name_or_path).suffix.lower() == WORLD
 
 
 def remark(name_or_path):

@@ -261,3 +261,12 @@ def test_it_is_said_that_start_and_targets_are_chosen(tmp_path, monkeypatch, cap
     assert "start and targets: chosen, for the file has none" in capsys.readouterr().out
     main([str(ROOT / "scenes" / "env1.toml")])
     assert "chosen" not in capsys.readouterr().out
+
+
+def test_a_worlds_name_may_end_in_capitals_and_a_folder_is_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "room.WORLD").write_text(GOOD)
+    assert len(scenes.load("room.WORLD").boxes) == 5
+    (tmp_path / "folder.world").mkdir()
+    with pytest.raises(SceneError, match="^scene file 'folder.world' is no file$"):
+        scenes.load("folder.world")

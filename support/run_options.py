@@ -71,9 +71,10 @@ def resumed(config, parser):
     own = read_config(file, type(config))
     for name in parser.given:
         flag = f"--{name.replace('_', '-')}"
-        if name not in CHANGEABLE and getattr(config, name) != getattr(own, name):
-            raise RunError(f"{flag} is {getattr(config, name)}, but run '{path}' was begun with "
-                           f"{getattr(own, name)}: leave it out")
+        begun = getattr(own, name)
+        if name not in CHANGEABLE and getattr(config, name) != begun:
+            raise RunError(f"{flag} is {getattr(config, name)}, but run '{path}' was begun "
+                           f"{'without' if begun == '' else f'with {begun}'}: leave it out")
     if "steps" in parser.given:
         if config.steps < own.steps:
             raise RunError(f"--steps is {config.steps}, it must be at least {own.steps}, as run "
