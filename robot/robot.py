@@ -83,7 +83,7 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
     many control periods. Returns a Drive.
 
     policy: has `reset()` and `act(observation)`, which returns an action (2,), as
-    `robot.export.OnnxPolicy` has. The wheels stand when this ends, however it ends.
+    `TorchPolicy` and `OnnxPolicy` have. The wheels stand when this ends, however it ends.
     """
     log = Drive()
     goal = np.asarray(goal, dtype=float)
@@ -111,9 +111,7 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
             if before is not None:
                 reward = rewards(np.array([before]), np.array([distance]), False, False)[0]
             before = distance
-            action = policy.act({"image": image, "target": target[0].astype(np.float32),
-                                 "velocity": command.astype(np.float32),
-                                 "last_reward": np.float32([reward])})
+            action = policy.act(as_observation(image, target[0], command, reward))
             command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
             command = after_ring(robot, command, log)
             robot.send(*command.tolist())
@@ -121,6 +119,13 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
     finally:
         robot.send(0.0, 0.0)
     return log
+
+
+def as_observation(image, target, command, reward):
+    """What one robot's policy sees (navbot_min.py): image (H, W, 3) uint8, target (2,) [m, rad],
+    last command (2,) [m/s, rad/s], last reward."""
+    return {"image": image, "target": target.astype(np.float32),
+            "velocity": command.astype(np.float32), "last_reward": np.float32([reward])}
 
 
 def image_and_pose(robot):
