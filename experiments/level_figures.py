@@ -17,8 +17,7 @@ from experiments import gallery
 from experiments.level3 import ROOMS, TEST_ROOMS
 from experiments.level_tables import EVER_NEW, of_seeds
 from experiments.runs import RESULTS, ROOT
-from scenes.generate import are_blocked
-from sim import FAR_ENOUGH
+from scenes.generate import share_blocked
 from support.film import write_film
 from support.pictures import (PALETTE, WIDTH, draw_floor, draw_path, draw_room, outcome_handle,
                               read_table, start_handle)
@@ -32,16 +31,6 @@ FLOOR_EPISODES = 1500
 FLOOR_ROOM = "maze0"  # one of the two hardest
 FILM_ROOM = "maze4"
 FILM_SEED = 6  # of an episode that arrives, around something; every fifth or so does not
-LINES = 5000  # of which it is looked up how many are blocked
-
-
-def share_blocked(scene):
-    """The share of the straight lines between two places of a room, 1 m or more apart, that
-    something blocks."""
-    rng = np.random.default_rng(0)
-    begin, end = scene.reachable[rng.integers(len(scene.reachable), size=(2, LINES))]
-    apart = np.hypot(*(end - begin).T) >= FAR_ENOUGH
-    return are_blocked(scene.boxes, begin[apart], end[apart]).mean()
 
 
 def draw_rooms(rooms, released):

@@ -34,6 +34,20 @@ def level1(rows):
     return markdown(header, table)
 
 
+def lower_levels(one, two):
+    """Levels 1 and 2 in short, a row for each room. one, two: rows of level1.csv and seeds.csv."""
+    header = ["level", "room", "success in the exam, each seed", "SPL"]
+    table = []
+    for level, rows, exam in (("1: one target", one, "perturbed"),
+                              ("2: new targets", select(two, way="varied"), "new")):
+        for room in sorted({row["env"] for row in rows}):
+            here = select(rows, env=room)
+            spl = np.mean([float(row[f"{exam}_spl"]) for row in here])
+            table.append([level, room, worst_first(percentages(here, f"{exam}_success"), "{:.1f}"),
+                          f"{spl:.2f}"])
+    return markdown(header, table)
+
+
 def level3(runs, tests):
     """Level 3, seed by seed, the worst first, room by room. runs, tests: rows of level3.csv and
     rooms.csv."""

@@ -391,6 +391,7 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "released-learner": (released_learner, ["released_learner.csv"]),
     "clients": (clients, ["clients.csv"]),
     "level1": (level_tables.level1, ["level1.csv"]),
+    "lower-levels": (level_tables.lower_levels, ["level1.csv", "seeds.csv"]),
     "level3": (level_tables.level3, ["level3.csv", "rooms.csv"]),
     "level3-targets": (level_tables.level3_targets, ["rooms.csv"]),
     "rooms-learnt": (level_tables.rooms_learnt, ["level3.csv", "rooms.csv"]),

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from scenes import load, remark
+from scenes.generate import share_blocked
 from sim import CELL, SceneError
 
 
@@ -27,12 +28,13 @@ def share_reachable(scene):
 
 
 def facts(scene):
-    """One line about a room: size, boxes, targets, reachable share of the floor."""
+    """One line about a room: size, boxes, targets, shares that are reachable and blocked."""
     length, width = np.ptp(scene.bounds, axis=0)
     training = len(scene.training_targets)
     new = len(scene.new_targets)
     return (f"{length:.2f} m x {width:.2f} m, boxes: {len(scene.boxes)}, training targets: "
-            f"{training}, new targets: {new}, reachable: {share_reachable(scene):.0%} of the floor")
+            f"{training}, new targets: {new}, reachable: {share_reachable(scene):.0%} of the floor, "
+            f"blocked: {share_blocked(scene):.0%} of the straight ways")
 
 
 def draw(scene):

@@ -25,12 +25,14 @@ BRICKS = (1.1, 2.2)  # [m] lengths; 1.15 to 1.73
 BRICK_SHARE = 0.6  # of the obstacles; 12 of 22
 BLOCKED = (0.35, 0.85)  # share of lines that obstacles are to block, drawn first; 0.41 to 0.82
 NEAR = 0.05  # to the share that was drawn is a room's own
-JOINED = 0.4  # share of the bricks that meet another one; of the rest, share that touches a wall
+MEETS_BRICK = 0.4  # share of the bricks that meet another one, in an L or a T
+MEETS_WALL = 0.4  # share of the other bricks that reach from a wall into the room
 CLOSED = 0.3  # [m] gaps up to it are no passages; the robot needs 0.36
 NARROWEST = 0.42  # [m] passages; 0.41 in maze 4
 MOST_OBSTACLES = 8  # 4 or 5
 TRIES = 100  # to put an obstacle somewhere
-LINES = 2000  # whose share is measured
+LINES = 2000  # whose share is measured while a room is made
+MEASURED = 5000  # of a room that there is
 MOST_KEPT = 128  # rooms that need not be made again, 0.3 MB each; a resumed run asks twice
 CONNECTED = 0.97  # of the floor that the robot fits on, at least
 
@@ -147,10 +149,10 @@ def obstacle(rng, material, boxes, length, width, right_angles):
     joined = None
     brick = rng.uniform(*BRICKS)
     others = [box for box in boxes if box.material == "brick"]
-    if others and rng.random() < JOINED:  # an L or a T
+    if others and rng.random() < MEETS_BRICK:
         joined = others[rng.integers(len(others))]
         along = rng.choice((-0.5, 0.0, 0.5)) * (joined.length - joined.thickness)
-    elif rng.random() < JOINED:  # from a wall into the room
+    elif rng.random() < MEETS_WALL:
         joined = boxes[rng.integers(4)]
         along = rng.uniform(-0.5, 0.5) * joined.length
     if joined is not None:
@@ -202,6 +204,17 @@ def are_blocked(boxes, begin, end):
         leaves = faces.max(0).min(-1)
         blocked |= np.maximum(enters, 0) < np.minimum(leaves, 1)
     return blocked
+
+
+def share_blocked(scene):
+    """The share of the straight lines between two places of a room, 1 m or more apart, that
+    something blocks: how much of it there is to drive around, in [0, 1]."""
+    rng = np.random.default_rng(0)
+    begin, end = scene.reachable[rng.integers(len(scene.reachable), size=(2, MEASURED))]
+    apart = np.hypot(*(end - begin).T) >= FAR_ENOUGH
+    if not apart.any():  # a room that small
+        return 0.0
+    return float(are_blocked(scene.boxes, begin[apart], end[apart]).mean())
 
 
 def as_scene(boxes):

@@ -11,7 +11,7 @@ import reprlib
 from sim import SceneError
 
 LARGEST_FILE = 10 ** 6  # bytes of a scene file
-MOST_BOXES = 512
+MOST_BOXES = 128
 MOST_TARGETS = 1024  # training and new ones together
 WIDEST = 30  # [m] that a room may measure
 MOST_COVERED = 10_000  # [m2] that the upright rectangles around all boxes cover together

@@ -38,7 +38,7 @@ class Record:
 
     def rates(self):
         """Both success rates, as the progress bar shows them."""
-        return {f"{kind} targets reached": f"{self.success(kind):.0%}"
+        return {f"{kind} reached": f"{self.success(kind):.0%}"
                 for kind, last in self._last.items() if last}
 
     def state(self):

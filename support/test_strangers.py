@@ -180,7 +180,7 @@ def test_what_is_no_file_is_refused_in_a_sentence(path):
 
 
 @pytest.mark.parametrize("changes, words", [
-    (dict(boxes=[box()] * (MOST_BOXES + 1)), "boxes has 513 entries, it may have 512"),
+    (dict(boxes=[box()] * (MOST_BOXES + 1)), "boxes has 129 entries, it may have 128"),
     (dict(new_targets=[[0.0, 1.0]] * MOST_TARGETS), "new_targets has 1,024 entries"),
     (dict(boxes=[box(x=1e7)]), r"boxes\[0\].x is 10000000.0, it must be a number within 1,000,000"),
     (dict(boxes=[box(length=20.0, thickness=20.0)] * 50), "the rectangles around all boxes cover")])
