@@ -45,10 +45,11 @@ def polar_targets(poses, targets):
     return np.stack([np.hypot(dx, dy), bearing], -1)
 
 
-def rewards(before, after, arrived, hit):
-    """Eq. (4): rewards (R,) for distances before and after [m]; arrival wins over collision."""
+def rewards(before, after, arrived, failed):
+    """Eq. (4): rewards (R,) for distances before and after [m]. failed: who has hit something, or
+    in a subclass stood too long; arrival wins over it."""
     progress = PROGRESS_REWARD * (before - after) - STEP_COST
-    return np.where(arrived, ARRIVAL_REWARD, np.where(hit, COLLISION_REWARD, progress))
+    return np.where(arrived, ARRIVAL_REWARD, np.where(failed, COLLISION_REWARD, progress))
 
 
 class NavVecEnv(VectorEnv):
@@ -200,10 +201,10 @@ class NavVecEnv(VectorEnv):
         poses = self.world.poses
         after = polar_targets(poses, self.goals)[:, 0]
         arrived = after < ARRIVAL_DISTANCE
-        reward = rewards(before, after, arrived, hit)
+        standing = self.is_standing() & ~arrived & ~hit
+        reward = rewards(before, after, arrived, hit | standing)
         self._steps += 1
         self._return += reward
-        standing = self.is_standing() & ~arrived & ~hit
         terminated = arrived | hit | standing
         truncated = ~terminated & (self._steps == self.max_episode_steps)
         observations = self.observe(np.arange(self.num_envs), poses, self.goals, command, reward)

@@ -11,30 +11,33 @@ import numpy as np
 from sim import CONTROL_PERIOD, MAX_LINEAR_VELOCITY, ROBOT_RADIUS
 from support.ranges import range_readings
 
-SENSORS = 16  # evenly around the robot, the first ahead; all numbers are our choice
+SENSORS = 24  # evenly around the robot, the first ahead; all numbers are our choice
 ANGLES = np.arange(SENSORS) * 2 * np.pi / SENSORS  # [rad] counter-clockwise from ahead
-CONE = np.radians(15)  # what a sensor hears, from edge to edge, as a HC-SR04 does
+CONE = np.radians(15)  # what a sensor hears, from edge to edge, as a HC-SR04 does: no gap is left
 RAYS = np.array([-0.5, 0.0, 0.5]) * CONE  # [rad] of a cone that are measured
 RANGE = 2.0  # [m] from the robot's rim; beyond it a reading is RANGE
 BLIND = 0.02  # [m] from the rim; nothing nearer is heard, and there is no reading
-MARGIN = 0.04  # [m] beyond the way of one period at full speed, for noise and lag
+MARGIN = 0.06  # [m] beyond the way of one period at full speed, for noise and lag
+BESIDE = 0.03  # [m] on both sides of it, for the way bends where the robot turns
 OLDEST = 2 * CONTROL_PERIOD  # [s] older readings count as none
 
 
 def limits():
     """The readings (S,) [m], from the rim, within which a thing stands in the way ahead: where each
-    sensor's middle ray leaves the floor that the robot's disc sweeps as it drives straight for one
-    period at full speed, and MARGIN more. 0 for sensors that do not face ahead."""
-    way = MAX_LINEAR_VELOCITY * CONTROL_PERIOD + MARGIN
+    sensor's middle ray leaves the floor that a disc BESIDE larger than the robot's sweeps as it
+    drives straight for one period at full speed, and MARGIN more. 0 for sensors that do not face
+    ahead."""
+    way = MAX_LINEAR_VELOCITY * CONTROL_PERIOD + MARGIN - BESIDE
+    radius = ROBOT_RADIUS + BESIDE
     found = []
     for angle in ANGLES:
         forward = np.cos(angle)
         across = abs(np.sin(angle))
         leaves = ROBOT_RADIUS  # [m] from the robot's centre
-        if forward > 1e-9 and forward * ROBOT_RADIUS > across * way:  # through the last disc
-            leaves = forward * way + np.sqrt(ROBOT_RADIUS ** 2 - (across * way) ** 2)
+        if forward > 1e-9 and forward * radius > across * way:  # through the last disc
+            leaves = forward * way + np.sqrt(radius ** 2 - (across * way) ** 2)
         elif forward > 1e-9:  # through a side
-            leaves = ROBOT_RADIUS / across
+            leaves = radius / across
         found.append(leaves - ROBOT_RADIUS)
     return np.array(found)
 

@@ -48,7 +48,7 @@ class Robot(Protocol):
         None before the first."""
 
     def ranges(self):
-        """The last readings of the ring's 16 sensors [m], Stamped, from the robot's rim, the first
+        """The last readings of the ring's 24 sensors [m], Stamped, from the robot's rim, the first
         ahead and the others counter-clockwise; None before the first."""
 
     def send(self, linear, angular):

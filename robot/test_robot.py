@@ -255,7 +255,7 @@ def test_a_drawn_reality_is_within_what_a_file_may_hold_and_new_every_episode():
 
 
 def test_the_limits_are_where_things_stand_in_the_way():
-    way = np.linspace(0, MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ring.MARGIN, 400)
+    way = np.linspace(0, MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ring.MARGIN - ring.BESIDE, 400)
     for angle, limit in zip(ring.ANGLES, ring.LIMITS):
         if math.cos(angle) < 1e-9:
             assert limit == 0
@@ -263,7 +263,7 @@ def test_the_limits_are_where_things_stand_in_the_way():
         r = np.linspace(ROBOT_RADIUS, 0.6, 4000)
         thing = np.stack([r * math.cos(angle), r * math.sin(angle)], -1)
         apart = np.hypot(thing[:, None, 0] - way, thing[:, None, 1]).min(1)
-        swept = r[apart < ROBOT_RADIUS]
+        swept = r[apart < ROBOT_RADIUS + ring.BESIDE]
         assert limit == pytest.approx(swept.max(initial=ROBOT_RADIUS) - ROBOT_RADIUS, abs=1e-3)
 
 
@@ -323,10 +323,11 @@ def test_the_ring_keeps_a_robot_from_the_wall_refuses_no_turn_and_standing_ends_
     env.reset(seed=0, options={"start": starts, "target": np.zeros(8, int)})
     ends = {}
     for _ in range(80):
-        _, _, terminated, _, infos = env.step(np.tile([1.0, 0.0], (8, 1)))
+        _, paid, terminated, _, infos = env.step(np.tile([1.0, 0.0], (8, 1)))
         for r in set(np.flatnonzero(terminated)) - set(ends):
             ends[r] = OUTCOMES[infos["final_info"]["outcome"][r]]
-            assert ends[r] != "standing" or infos["final_info"]["stops"][r] >= 25
+            if ends[r] == "standing":
+                assert infos["final_info"]["stops"][r] >= 25 and paid[r] == COLLISION_REWARD
     assert "standing" in ends.values() and set(ends.values()) <= {"standing", "arrival"}
     wanted = np.tile([0.3, 0.7], (8, 1))
     blocked = env.stopped(wanted)

@@ -8,6 +8,7 @@ import torch
 
 import scenes
 import train
+from model import INITIAL_STD
 from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv
 from support.processes import OneProcess
 from support.weights import load_run
@@ -26,7 +27,8 @@ def training(**options):
 def test_a_training_begins_with_the_weights_that_it_is_given():
     given, _ = load_run(ENV2_WEIGHTS)
     begun = training(init=ENV2_WEIGHTS).model.state_dict()
-    assert all(torch.equal(begun[name], value) for name, value in given.state_dict().items())
+    assert torch.allclose(begun.pop("log_std").exp(), torch.tensor(INITIAL_STD))
+    assert all(torch.equal(value, given.state_dict()[name]) for name, value in begun.items())
     other = training().model.state_dict()
     assert not torch.equal(other["value.weight"], begun["value.weight"])
 

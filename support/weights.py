@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 import scenes as scene_files
-from model import BLANKS, MEMORIES, SHUT, Network, make_network
+from model import BLANKS, INITIAL_STD, MEMORIES, SHUT, Network, make_network
 from scenes.limits import sentence, shown, shown_path
 from sim import SceneError
 from support.run_folder import RunError, write
@@ -71,7 +71,10 @@ def load_run(path):
 
 def first_network(config):
     """The network that a training begins with: that of `config.init`, else random weights, which a
-    checkpoint soon replaces where the training goes on. Raises RunError."""
+    checkpoint soon replaces where the training goes on. Raises RunError.
+
+    The deviations of its actions are the first ones in either case: who is to learn must try things
+    again. Those of weights that have learnt are small."""
     if not config.init or config.resume:
         return make_network(config.seed, config.memory, config.without)
     model, _ = load_run(config.init)
@@ -81,6 +84,8 @@ def first_network(config):
         if own != wanted:
             raise RunError(f"--init {shown_path(config.init)} was trained with --{name} "
                            f"{own or 'nothing'}, but --{name} is {wanted or 'nothing'}")
+    with torch.no_grad():
+        model.log_std.copy_(torch.tensor(INITIAL_STD).log())
     return model
 
 
