@@ -3,7 +3,7 @@ after learning there, and after learning under errors that are drawn. The runs a
 results/; `experiments.results` makes them. `docs/robot.md` says what the lab does."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import scenes
 from evaluation.drivers import Policy
@@ -11,6 +11,7 @@ from evaluation.examine import evaluate
 from experiments import runs
 from experiments.runs import OUTCOMES, rounded, write_table
 from robot.environment import RingVecEnv
+from scenes.reality import KNOBS, Reality
 from sim import CONTROL_PERIOD
 from support.cores import available_cores
 from support.rooms import RANDOM
@@ -24,15 +25,15 @@ STARTS = {  # to learn in the lab -> what it begins with
     "from-any-room": ["--init", "pretrained/any-room.pt"],
     "from-scratch": []}
 # One room, which has no mirror. Episodes are dear there: updates are of few, and learn much of each.
-IN_THE_LAB = ["--env", ROOM, "--ring", "--mirrored", "0", "--robots", "16",
-              "--episodes-per-update", "16", "--minibatches", "2", "--epochs", "8",
-              "--learning-rate", "3e-4"]
+IN_THE_LAB = ["--env", ROOM, "--ring", "--mirrored", "0", "--robots", "8",
+              "--episodes-per-update", "8", "--minibatches", "2", "--epochs", "8"]
 EPISODES = (300, 1000, 3000)  # in the lab; the paper's are 3,000
 MOST_STEPS = 2_000_000  # no run needs so many
 NO_LAB = {  # never in the lab: errors that are drawn anew each episode -> where, and how long
     "random-env2": ["--env", "env2", "--steps", 400_000],
     "random-rooms": ["--env", RANDOM, "--init", "pretrained/any-room.pt", "--steps", 500_000]}
 SEEDS = range(3)
+KNOB_EPISODES = 200  # of each error alone
 EXAM_EPISODES = 500  # to targets of each kind, and from anywhere to anywhere
 
 
@@ -63,11 +64,12 @@ class Run(runs.Run):
 
     @property
     def examinations(self):
-        return {"evaluation-lab-ring.json": [
-                    "--env", ROOM, "--ring", "--episodes", EXAM_EPISODES],
-                "evaluation-lab-anywhere-ring.json": [
-                    "--env", ROOM, "--ring", "--protocol", "anywhere",
-                    "--episodes", EXAM_EPISODES]}
+        exam = ["--env", ROOM, "--ring", "--episodes", EXAM_EPISODES, "--protocol"]
+        # A file's name says the protocol where it is not the run's own: `start`, but in many rooms.
+        _, room, *_ = self.training
+        start = "start-" if room == RANDOM else ""
+        return {f"evaluation-lab-{start}ring.json": [*exam, "start"],
+                "evaluation-lab-anywhere-ring.json": [*exam, "anywhere"]}
 
 
 def main_runs():
@@ -108,10 +110,35 @@ def untouched_row(name):
     return {"way": name, "allowed": 0, "seed": 0} | nothing | measured_columns(*results)
 
 
+def alone(scene):
+    """That Scene with none of its errors, with each of them alone, and with all: name -> Scene."""
+    realities = {"none": Reality()}
+    for name in ("look", *KNOBS):
+        value = getattr(scene.reality, name)
+        if value != getattr(Reality(), name):
+            realities[name] = Reality(**{name: value})
+    realities["all"] = scene.reality
+    return {name: replace(scene, reality=reality) for name, reality in realities.items()}
+
+
+def knob_rows(name):
+    """The rows of knobs.csv of the weights in pretrained/ of that name: what each error of the lab
+    costs them alone, from anywhere to anywhere."""
+    model, _ = load_run(runs.ROOT / "pretrained" / f"{name}.pt")
+    rows = []
+    for knob, scene in alone(scenes.load(ROOM)).items():
+        result, _ = evaluate(Policy(model, "mean", seed=0), [scene], KNOB_EPISODES, "anywhere",
+                             environment=RingVecEnv, workers=len(available_cores()))
+        rows.append({"weights": name, "knob": knob}
+                    | rounded(result["anywhere"], ("n", *MEASURED)))
+    return rows
+
+
 def write_tables():
-    """The table of all runs, and the weights of seed 0 that learnt longest, whichever is the best.
+    """The tables, and the weights of seed 0 that learnt longest from env2's, whichever is the best.
     """
     write_table("lab.csv", [untouched_row(name) for name in WEIGHTS]
                 + [seed_row(run) for run in main_runs()])
+    write_table("knobs.csv", [row for name in WEIGHTS for row in knob_rows(name)])
     learnt = Run("from-env2", EPISODES[-1], 0)
     shutil.copy(learnt.folder / "model.pt", runs.ROOT / "pretrained" / "lab.pt")

@@ -1,10 +1,14 @@
 """The table of the lab, made from `results/lab.csv`; `experiments.tables` writes it into the pages.
 """
 
+import math
+
 import numpy as np
 
-from experiments.lab import EPISODES, NO_LAB, WEIGHTS
+from experiments.lab import EPISODES, NO_LAB, ROOM, WEIGHTS
 from experiments.markdown import markdown, percentages, select, worst_first
+from scenes import load
+from scenes.reality import ANGLES
 
 NAMES = {  # column `way` of lab.csv
     "env2": "env2's, as it is",
@@ -32,6 +36,30 @@ def stops(rows):
     """How often the ring refuses to drive on, in an episode to the lab's targets, one a row."""
     return np.mean([[float(row[f"{kind}_stops"]) for row in rows] for kind in ("training", "new")],
                    axis=0)
+
+
+def knobs(rows):
+    """What each error of the lab costs alone, the dearest first. rows: of knobs.csv."""
+    lab = load(ROOM).reality
+    success = {}  # of all weights, for each knob
+    for row in rows:
+        success.setdefault(row["knob"], []).append(100 * float(row["success"]))
+    ends = ("none", "all")
+    between = sorted(set(success) - set(ends), key=lambda knob: np.mean(success[knob]))
+    table = []
+    for knob in ("none", *between, "all"):
+        value = "" if knob in ends else worded(knob, getattr(lab, knob))
+        table.append([knob.replace("_", " "), value, *(f"{one:.0f}" for one in success[knob])])
+    return markdown(["error alone", "in the lab", *(NAMES[name] for name in WEIGHTS)], table)
+
+
+def worded(knob, value):
+    """A knob's value as its room's file has it."""
+    if isinstance(value, tuple):
+        return ", ".join(f"{part:g}" for part in value)
+    if knob in ANGLES:
+        return f"{math.degrees(value):g} degrees"
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def lab(rows):

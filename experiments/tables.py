@@ -398,7 +398,8 @@ TABLES = {  # marker: what makes the table, and the files in results/ that it is
     "level3-ablations": (level_tables.level3_ablations, ["level3.csv", "rooms.csv"]),
     "carry-over": (level_tables.carry_over, ["carry-over.csv"]),
     "level3-planners": (level_tables.level3_planners, ["level3-planners.csv"]),
-    "lab": (lab_tables.lab, ["lab.csv"])}
+    "lab": (lab_tables.lab, ["lab.csv"]),
+    "knobs": (lab_tables.knobs, ["knobs.csv"])}
 
 
 # -------------------------------------------------------------------------------------------- pages

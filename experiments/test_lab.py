@@ -9,6 +9,7 @@ import scenes
 from experiments import lab, lab_figures, lab_tables, runs
 from model import make_network
 from robot.policy import TorchPolicy
+from scenes.reality import KNOBS, Reality
 
 RATE = {"n": 100, "success": 0.5, "low": 0.4, "high": 0.6, "collision": 0.3, "timeout": 0.1,
         "standing": 0.1, "stops": 2.0, "spl": 0.25}
@@ -47,6 +48,25 @@ def test_the_table_has_every_policy_and_every_seed_the_worst_first(rows):
     assert lines[2] == ("| env2's, as it is | 0 | 0.0 | 50: **50.0** | 50: **50.0** | "
                         "50: **50.0** | 30.0 | 2.0 |")
     assert lines[4].startswith("| learnt in env2, errors drawn | 0 | 0.0 |")
+
+
+def test_each_error_of_the_lab_is_alone_once_and_the_dearest_stands_first():
+    rooms = lab.alone(scenes.load("lab"))
+    for name, room in rooms.items():
+        other = {knob for knob in ("look", *KNOBS)
+                 if getattr(room.reality, knob) != getattr(Reality(), knob)}
+        assert name in ("none", "all") or other == {name}
+    assert rooms["none"].reality == Reality() and rooms["all"] == scenes.load("lab")
+    assert set(rooms) - {"none", "all"} == {
+        knob for knob in ("look", *KNOBS) if rooms["all"].reality != rooms["none"].reality
+        and getattr(rooms["all"].reality, knob) != getattr(Reality(), knob)}
+    rows = [{"weights": weights, "knob": knob, "success": success}
+            for weights in lab.WEIGHTS
+            for knob, success in (("none", "0.9"), ("blur", "0.8"), ("look", "0.1"),
+                                  ("camera_yaw", "0.2"), ("all", "0"))]
+    assert lab_tables.knobs(rows).splitlines()[2:] == [
+        "| none |  | 90 | 90 |", "| look | lab | 10 | 10 |",
+        "| camera yaw | 2 degrees | 20 | 20 |", "| blur | 0.6 | 80 | 80 |", "| all |  | 0 | 0 |"]
 
 
 def test_untouched_weights_are_where_learning_in_the_lab_begins(rows):

@@ -4,9 +4,10 @@ import numpy as np
 
 from render import Camera, H, W
 from scenes import MATERIALS
-from support.textures import ABOVE, PERIOD
+from support.textures import ABOVE, PERIOD, texture
 
-DRAWN_LOOKS = 16  # our choice
+DRAWN_LOOKS = 64  # our choice: with as many robots, each sees another one
+LARGEST_BLOCK = 16  # [texel] 40 cm
 
 
 def plaster(rng):
@@ -52,28 +53,36 @@ class LabCamera(Camera):
         return self.textures[material](np.random.default_rng(sum(material.encode())))
 
 
+def blocks(rng):
+    """A wall of blocks, each of a colour of its own: how large they are is drawn, too."""
+    u, v = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")
+    long, high = rng.integers(1, LARGEST_BLOCK, 2, endpoint=True)
+    colours = rng.uniform(40, 230, (PERIOD // long + 1, ABOVE // high + 1, 3))
+    return colours[u // long, v // high]
+
+
 class DrawnCamera(Camera):
-    """A camera in a room that looks like nobody knows what: the simulation's patterns in other
-    colours, and another light, by a seed."""
+    """A camera in a room that looks like nobody knows what: each material has a pattern of the
+    simulation or blocks, in other colours, and the light is another one, by a seed."""
 
     def __init__(self, scenes, seed):
         rng = np.random.default_rng(seed)
+        self.seed = seed
         direction = rng.normal(0, 1, 3)
         direction[2] = abs(direction[2])
         self.sun = direction / np.linalg.norm(direction)
         self.ambient = rng.uniform(0.4, 0.8)
         self.floor, self.sky = rng.uniform(60, 240, (2, 3))
-        self.colours = {material: rng.uniform(40, 230, 3) for material in MATERIALS}
-        self.contrast = rng.uniform(0.5, 2.0)
         super().__init__(scenes)
 
     def light(self, normal):
         return self.ambient + (1 - self.ambient) * np.clip(np.asarray(normal) @ self.sun, 0, 1)
 
     def texture(self, material):
-        pattern = super().texture(material)
-        pattern = (pattern - pattern.mean((0, 1))) * self.contrast
-        return np.clip(pattern + self.colours[material], 0, 255)
+        rng = np.random.default_rng([self.seed, MATERIALS.index(material)])
+        pattern = blocks(rng) if rng.random() < 0.5 else texture(rng.choice(MATERIALS))
+        pattern = (pattern - pattern.mean((0, 1))) * rng.uniform(0.3, 1.5)
+        return np.clip(pattern + rng.uniform(40, 230, 3), 0, 255)
 
 
 CAMERAS = {"simulation": Camera, "lab": LabCamera}
@@ -82,10 +91,15 @@ CAMERAS = {"simulation": Camera, "lab": LabCamera}
 class Cameras:
     """A camera for each look. Like render.Camera, its `render` takes indices into scenes."""
 
-    def __init__(self, look_of, cameras):
-        """look_of: of each scene, the key of its camera in `cameras`."""
+    def __init__(self, scenes, look_of, make):
+        """look_of: the look of each scene. make: the camera of a look and of Scenes like it."""
         self.look_of = np.array(look_of)
-        self.cameras = cameras
+        self.place = np.zeros(len(scenes), int)  # of a scene among those of its look
+        self.cameras = {}
+        for look in sorted(set(look_of)):
+            alike = np.flatnonzero(self.look_of == look)
+            self.place[alike] = np.arange(len(alike))
+            self.cameras[look] = make(look, [scenes[k] for k in alike])
 
     def render(self, scene_of, poses, targets):
         """As render.Camera's."""
@@ -93,17 +107,18 @@ class Cameras:
         for look, camera in self.cameras.items():
             chosen = np.flatnonzero(self.look_of[scene_of] == look)
             if len(chosen):
-                images[chosen] = camera.render(scene_of[chosen], poses[chosen], targets[chosen])
+                images[chosen] = camera.render(self.place[scene_of[chosen]], poses[chosen],
+                                               targets[chosen])
         return images
 
 
 def own_cameras(scenes):
     """The Cameras of Scenes that look as their reality says."""
     look_of = [scene.reality.look if scene.reality else "simulation" for scene in scenes]
-    return Cameras(look_of, {look: CAMERAS[look](scenes) for look in sorted(set(look_of))})
+    return Cameras(scenes, look_of, lambda look, alike: CAMERAS[look](alike))
 
 
 def drawn_cameras(scenes):
     """The Cameras of Scenes that take turns to look in DRAWN_LOOKS ways."""
-    look_of = np.arange(len(scenes)) % DRAWN_LOOKS
-    return Cameras(look_of, {seed: DrawnCamera(scenes, seed) for seed in range(DRAWN_LOOKS)})
+    look_of = [k % DRAWN_LOOKS for k in range(len(scenes))]
+    return Cameras(scenes, look_of, lambda look, alike: DrawnCamera(alike, look))

@@ -10,7 +10,7 @@ import torch
 
 import scenes
 from model import make_network
-from navbot_min import OUTCOMES, NavVecEnv, polar_targets
+from navbot_min import COLLISION_REWARD, OUTCOMES, NavVecEnv, polar_targets
 from robot import lens, ring
 from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv, drawn_knobs, environment_of
 from robot.lab import LabRobot
