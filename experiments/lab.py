@@ -5,6 +5,8 @@ results/; `experiments.results` makes them. `docs/robot.md` says what the lab do
 import shutil
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 import scenes
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate
@@ -14,6 +16,7 @@ from robot.environment import RingVecEnv
 from scenes.reality import KNOBS, Reality
 from sim import CONTROL_PERIOD
 from support.cores import available_cores
+from support.pictures import read_table
 from support.rooms import RANDOM
 from support.weights import load_run
 
@@ -27,14 +30,16 @@ STARTS = {  # to learn in the lab -> what it begins with
 # One room, which has no mirror. Episodes are dear there: updates are of few, and learn much of each.
 IN_THE_LAB = ["--env", ROOM, "--ring", "--mirrored", "0", "--robots", "8",
               "--episodes-per-update", "8", "--minibatches", "2", "--epochs", "8"]
-EPISODES = (300, 1000, 3000)  # in the lab; the paper's are 3,000
+EPISODES = (300, 3000)  # in the lab; the paper's are 3,000
 MOST_STEPS = 2_000_000  # no run needs so many
 NO_LAB = {  # never in the lab: errors that are drawn anew each episode -> where, and how long
     "random-env2": ["--env", "env2", "--steps", 400_000],
     "random-rooms": ["--env", RANDOM, "--init", "pretrained/any-room.pt", "--steps", 500_000]}
 SEEDS = range(3)
 KNOB_EPISODES = 200  # of each error alone
-EXAM_EPISODES = 500  # to targets of each kind, and from anywhere to anywhere
+WINDOW = 300  # episodes that a point of a curve looks back on, of which 50 or so are to new targets
+EVERY = 50
+EXAM_EPISODES = 300  # to targets of each kind, and from anywhere to anywhere
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,21 @@ def seed_row(run):
     return row | measured_columns(*map(run.read, run.examinations))
 
 
+def curve_rows(run):
+    """Rows of lab-curves.csv, one for each EVERY episodes of a run in the lab: how the last WINDOW
+    of them ended, to any target and to new ones."""
+    episodes = read_table(run.folder / "episodes.csv")
+    rows = []
+    for end in range(WINDOW, len(episodes) + 1, EVERY):
+        last = episodes[end - WINDOW:end]
+        new = [row["outcome"] == "arrival" for row in last if row["kind"] == "new"]
+        hits = [row["outcome"] == "collision" for row in last]
+        rows.append(run.names | {"episodes": end, "new_n": len(new),
+                                 "new_success": round(float(np.mean(new)), 4),
+                                 "collision": round(float(np.mean(hits)), 4)})
+    return rows
+
+
 def untouched_row(name):
     """The row of lab.csv of the weights in pretrained/ of that name, which never were in the lab or
     a room with errors."""
@@ -139,6 +159,8 @@ def write_tables():
     """
     write_table("lab.csv", [untouched_row(name) for name in WEIGHTS]
                 + [seed_row(run) for run in main_runs()])
+    longest = [run for run in main_runs() if run.allowed == EPISODES[-1]]
+    write_table("lab-curves.csv", [row for run in longest for row in curve_rows(run)])
     write_table("knobs.csv", [row for name in WEIGHTS for row in knob_rows(name)])
     learnt = Run("from-env2", EPISODES[-1], 0)
     shutil.copy(learnt.folder / "model.pt", runs.ROOT / "pretrained" / "lab.pt")

@@ -13,12 +13,14 @@ from matplotlib.ticker import MaxNLocator
 
 import scenes
 from experiments import gallery
-from experiments.lab import EPISODES, NO_LAB, ROOM, STARTS, WEIGHTS
+from experiments.lab import NO_LAB, ROOM, STARTS
 from experiments.lab_tables import NAMES, collisions, stops
 from experiments.markdown import percentages, select
 from experiments.runs import RESULTS, ROOT
+from render import Camera
 from robot.environment import RealVecEnv
 from robot.lab import LabRobot
+from robot.looks import DrawnCamera, LabCamera
 from robot.mapping import OccupancyGrid
 from robot.policy import TorchPolicy
 from robot.robot import drive
@@ -113,6 +115,20 @@ def draw_knobs():
     return figure
 
 
+def draw_looks():
+    """env2 as the simulation shows it, as the lab would, and in looks that are drawn. Returns a
+    Figure."""
+    scene = [scenes.load("env2")]
+    cameras = {"simulation": Camera(scene), "the lab's": LabCamera(scene)}
+    cameras |= {f"drawn, {seed}": DrawnCamera(scene, seed) for seed in range(8)}
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    for axes, (name, camera) in zip(figure.subplots(2, 5).flat, cameras.items()):
+        axes.imshow(camera.render(np.array([0]), np.array([POSE]), np.array([GOAL]))[0])
+        axes.set_title(name, fontsize=9)
+        axes.axis("off")
+    return figure
+
+
 # ----------------------------------------------------------------- what episodes there are worth
 
 
@@ -123,42 +139,51 @@ STYLES = {  # colour, marker
     "random-rooms": (PALETTE["run"], "X")}
 
 
-def draw_learning(rows):
+def draw_learning(rows, curves):
     """Success on new targets, collisions and stops in the lab against the episodes that a policy
-    learnt there; every seed, and the mean. rows: of lab.csv. Returns a Figure."""
+    learns there. Lines are what its last WINDOW episodes came to while it learnt, the mean of
+    seeds; marks are the frozen policies, every seed. rows, curves: of lab.csv and lab-curves.csv.
+    Returns a Figure."""
     figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
-    measures = {
-        "success on new targets [%]": lambda chosen: percentages(chosen, "new_success"),
-        "collisions in 100 episodes": collisions,
-        "stops an episode": stops}
+    measures = {  # title -> of frozen policies, and the column of curves
+        "success on new targets [%]": (lambda chosen: percentages(chosen, "new_success"),
+                                       "new_success"),
+        "collisions in 100 episodes": (collisions, "collision"),
+        "stops an episode": (stops, None)}
     panels = figure.subplots(1, 3)
-    for axes, (name, measure) in zip(panels, measures.items()):
+    for axes, (title, (frozen, column)) in zip(panels, measures.items()):
         for way in (*STARTS, *NO_LAB):
             colour, mark = STYLES[way]
-            counts = EPISODES if way in STARTS else (0,)
-            seeds = [measure(select(rows, way=way, allowed=str(count))) for count in counts]
-            untouched = way.removeprefix("from-")
-            if untouched in WEIGHTS:
-                counts = (0, *counts)
-                seeds.insert(0, measure(select(rows, way=untouched)))
-            places = [(0, *EPISODES).index(count) for count in counts]
-            for x, values in zip(places, seeds):
-                axes.plot([x] * len(values), values, color=colour, marker=mark, ms=5, ls="none",
-                          alpha=0.5, mew=0)
-            axes.plot(places, [np.mean(values) for values in seeds], color=colour, marker=mark,
-                      ms=7, label=NAMES[way])
-        axes.set(xlabel="episodes in the lab", title=name, ylim=(0, None),
-                 xticks=range(1 + len(EPISODES)), xticklabels=[f"{n:,}" for n in (0, *EPISODES)])
+            if column and way in STARTS:
+                axes.plot(*mean_curve(select(curves, way=way), column), color=colour, lw=1.6)
+            axes.plot(*frozen_points(rows, way, frozen), color=colour, marker=mark, ms=6, ls="none",
+                      mew=0, alpha=0.75, label=NAMES[way])
+        axes.set(xlabel="episodes in the lab", title=title, ylim=(0, None),
+                 xticks=(0, 1000, 2000, 3000))
         axes.title.set_fontsize(9.5)
         axes.grid(alpha=0.3)
         axes.yaxis.set_major_locator(MaxNLocator(5))
     panels[0].set(ylim=(0, 103))
-    count, success = PAPER
-    panels[0].plot((0, *EPISODES).index(count), success, marker="*", ms=12, ls="none",
-                   color=PALETTE["robot"], label="the paper's robot")
+    panels[0].plot(*PAPER, marker="*", ms=12, ls="none", color=PALETTE["robot"],
+                   label="the paper's robot")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return figure
+
+
+def mean_curve(curves, column):
+    """The episodes, and the mean of seeds of a column [%]. curves: rows of lab-curves.csv."""
+    episodes = sorted({int(row["episodes"]) for row in curves})
+    return episodes, [np.mean(percentages(select(curves, episodes=str(count)), column))
+                      for count in episodes]
+
+
+def frozen_points(rows, way, measure):
+    """The episodes that a way's policies learnt in the lab, and what a measure gives for them; with
+    the weights that they began with, at 0. rows: of lab.csv."""
+    begun_with = way.removeprefix("from-")  # no weights have the name of any other way
+    chosen = select(rows, way=way) + [row for row in rows if row["way"] == begun_with != way]
+    return [int(row["allowed"]) for row in chosen], measure(chosen)
 
 
 # -------------------------------------------------------------------------- the paper's Fig. 8
@@ -205,9 +230,11 @@ FILMED = {"target": 10, "seed": 3}  # the first new target; of an episode that a
 def draw_all():
     """Yields the name of each figure and the Figure."""
     yield "reality", draw_knobs()
+    yield "looks", draw_looks()
     if not (RESULTS / "lab.csv").exists():  # as long as it is not made
         return
-    yield "lab", draw_learning(read_table(RESULTS / "lab.csv"))
+    yield "lab", draw_learning(read_table(RESULTS / "lab.csv"),
+                               read_table(RESULTS / "lab-curves.csv"))
     model, _ = load_run(ROOT / "pretrained" / "lab.pt")
     yield "lab-map", draw_map_of(*driven_map(TorchPolicy(model), **FILMED), scenes.load(ROOM))
 

@@ -41,7 +41,7 @@ def rows(tmp_path, monkeypatch):
 
 def test_the_table_has_every_policy_and_every_seed_the_worst_first(rows):
     lines = lab_tables.lab(rows).splitlines()
-    assert len(lines) == 2 + 2 + 2 + 3 * 3
+    assert len(lines) == 2 + 2 + 2 + 3 * 2
     # 9,000 steps of 0.4 s are an hour; collisions are the mean of 10 and 30 in 100.
     assert lines[-1] == ("| from any-room's | 3,000 | 1.0 | 0, 10, 20: **10.0** | "
                          "50, 50, 50: **50.0** | 50, 50, 50: **50.0** | 20.0 | 2.0 |")
@@ -69,11 +69,34 @@ def test_each_error_of_the_lab_is_alone_once_and_the_dearest_stands_first():
         "| camera yaw | 2 degrees | 20 | 20 |", "| blur | 0.6 | 80 | 80 |", "| all |  | 0 | 0 |"]
 
 
-def test_untouched_weights_are_where_learning_in_the_lab_begins(rows):
-    success, *_ = lab_figures.draw_learning(rows).axes
-    lines = {line.get_label(): line.get_ydata() for line in success.lines}
-    assert np.allclose(lines["from env2's"], [50, 10, 10, 10])
-    assert np.allclose(lines["from random weights"], [10, 10, 10])
+def test_frozen_policies_stand_at_the_episodes_that_they_learnt(rows):
+    curves = [{"way": way, "seed": str(seed), "episodes": str(count),
+               "new_success": str(count / 1000 + seed / 10), "collision": "0.02"}
+              for way in lab.STARTS for seed in (0, 2) for count in (300, 350)]
+    success, collided, _ = lab_figures.draw_learning(rows, curves).axes
+    points = {line.get_label(): sorted(map(tuple, line.get_xydata().round(6).tolist()))
+              for line in success.lines}
+    learnt = [(count, 10 * seed) for count in lab.EPISODES for seed in lab.SEEDS]
+    assert points["from env2's"] == [(0, 50), *learnt]
+    assert points["from random weights"] == learnt
+    assert np.allclose(success.lines[0].get_xydata(), [(300, 40), (350, 45)])
+    assert np.allclose(collided.lines[0].get_ydata(), 2)
+
+
+def test_a_curve_looks_back_on_the_last_episodes(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "RUNS", tmp_path)
+    run = lab.Run("from-env2", 3000, 0)
+    run.folder.mkdir()
+    with open(run.folder / "episodes.csv", "w") as file:
+        file.write("kind,outcome\n")
+        for k in range(400):
+            outcome = "arrival" if k >= 300 else "collision"
+            file.write(f"{'new' if k % 2 else 'training'},{outcome}\n")
+    rows = lab.curve_rows(run)
+    assert [row["episodes"] for row in rows] == [300, 350, 400]
+    assert [row["new_success"] for row in rows] == [0, pytest.approx(1 / 6, abs=1e-4),
+                                                    pytest.approx(1 / 3, abs=1e-4)]
+    assert rows[2]["collision"] == pytest.approx(2 / 3, abs=1e-4) and rows[2]["new_n"] == 150
 
 
 def test_a_run_drives_in_the_lab_only_where_its_episodes_there_are_counted():

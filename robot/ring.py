@@ -18,7 +18,7 @@ RAYS = np.array([-0.5, 0.0, 0.5]) * CONE  # [rad] of a cone that are measured
 RANGE = 2.0  # [m] from the robot's rim; beyond it a reading is RANGE
 BLIND = 0.02  # [m] from the rim; nothing nearer is heard, and there is no reading
 MARGIN = 0.06  # [m] beyond the way of one period at full speed, for noise and lag
-BESIDE = 0.03  # [m] on both sides of it, for the way bends where the robot turns
+BESIDE = 0.05  # [m] on both sides of it: where the robot turns, its way bends by half of that
 OLDEST = 2 * CONTROL_PERIOD  # [s] older readings count as none
 
 
