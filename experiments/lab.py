@@ -27,14 +27,15 @@ STARTS = {  # to learn in the lab -> what it begins with
     "from-env2": ["--init", "pretrained/env2.pt"],
     "from-any-room": ["--init", "pretrained/any-room.pt"],
     "from-scratch": []}
-# One room, which has no mirror. Episodes are dear there: updates are of few, and learn much of each.
+# One room, which has no mirror. Episodes are dear there: updates are of few and learn much of each.
 IN_THE_LAB = ["--env", ROOM, "--ring", "--mirrored", "0", "--robots", "8",
               "--episodes-per-update", "8", "--minibatches", "2", "--epochs", "8"]
 EPISODES = (300, 3000)  # in the lab; the paper's are 3,000
 MOST_STEPS = 2_000_000  # no run needs so many
 NO_LAB = {  # never in the lab: errors that are drawn anew each episode -> where, and how long
-    "random-env2": ["--env", "env2", "--steps", 400_000],
-    "random-rooms": ["--env", RANDOM, "--init", "pretrained/any-room.pt", "--steps", 500_000]}
+    "random-env2": ["--env", "env2", "--ring"],
+    "random-rooms": ["--env", RANDOM, "--ring", "--init", "pretrained/any-room.pt"]}
+NO_LAB_STEPS = 1_000_000
 SEEDS = range(3)
 KNOB_EPISODES = 200  # of each error alone
 WINDOW = 300  # episodes that a point of a curve looks back on, of which 50 or so are to new targets
@@ -60,7 +61,7 @@ class Run(runs.Run):
     @property
     def training(self):
         if self.way in NO_LAB:
-            options = [*NO_LAB[self.way], "--reality", "random"]
+            options = [*NO_LAB[self.way], "--reality", "random", "--steps", NO_LAB_STEPS]
         else:
             options = [*IN_THE_LAB, *STARTS[self.way], "--episodes", self.allowed,
                        "--steps", MOST_STEPS]

@@ -317,7 +317,7 @@ def test_the_programs_take_the_commands_of_the_results(tmp_path, monkeypatch):
         else:
             assert call[:2] == ["-m", "evaluation"]
             read_command_line(call[2:])
-    assert len(configs) == len(everything) == 10 + 20 + 36 + 36 + 33
+    assert len(configs) == len(everything) == 10 + 20 + 36 + 36 + 24
     assert all(config.fixed_budget and config.workers == 1 for config in configs.values())
     assert all(int(name[-1]) == config.seed for name, config in configs.items())
     one_start = configs["level2-env2-one-start-seed2"]

@@ -61,8 +61,8 @@ def load(name_or_path):
         exists = path.is_file()
         check(exists or not path.suffix or not path.exists(), f"{what} is no file")
         check(exists or not path.suffix, f"{what} does not exist")
-        check(exists, f"unknown scene {shown_path(name_or_path)}: it must be one of {', '.join(names())}, "
-                      "or a scene file's path")
+        check(exists, f"unknown scene {shown_path(name_or_path)}: it must be one of "
+                      f"{', '.join(names())}, or a scene file's path")
         text = read(path)
     except OSError as error:
         raise SceneError(f"{what} cannot be read: {error.strerror}") from None

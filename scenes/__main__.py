@@ -32,8 +32,9 @@ def facts(scene):
     length, width = np.ptp(scene.bounds, axis=0)
     training = len(scene.training_targets)
     new = len(scene.new_targets)
-    return (f"{length:.2f} m x {width:.2f} m, boxes: {len(scene.boxes)}, training targets: "
-            f"{training}, new targets: {new}, reachable: {share_reachable(scene):.0%} of the floor, "
+    return (f"{length:.2f} m x {width:.2f} m, boxes: {len(scene.boxes)}, "
+            f"training targets: {training}, new targets: {new}, "
+            f"reachable: {share_reachable(scene):.0%} of the floor, "
             f"blocked: {share_blocked(scene):.0%} of the straight ways")
 
 
