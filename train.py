@@ -67,7 +67,7 @@ class Config:
     learning_rate: float = option(1e-3, "of Adam at the start; it shrinks to 0", 1e-9, 1.0)
     gamma: float = option(0.99, "discount of the rewards to come, a step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
-    clip: float = option(0.2, "epsilon of Eq. (3): how far an update may go", 1e-9, 1.0)
+    clip: float = option(0.2, "epsilon of Eq. (3): how far an update may go", 1e-9, 1e9)
     device: str = option("cpu", "where the network runs", choices=("cpu", "cuda"))
     evaluation_episodes: int = option(1000, "after training, to targets of each kind", 1, 10 ** 5)
     out: str = option("", "the run's folder, a new one; by default runs/<env>-seed<k>")

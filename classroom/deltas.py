@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 import scenes
 import train
 from evaluation import Policy, evaluate
+from navbot_min import NavVecEnv
 from ppo import Collector
 from support.command_line import CommandLine
 from support.pictures import PALETTE, WIDTH, read_table
@@ -28,6 +29,7 @@ SEEDS = (0, 1, 2)
 WINDOW = 100  # episodes that a point of a curve looks back on
 EPISODES = 300  # of the frozen evaluation
 LESSON = "the lesson"
+SHORT = 40  # steps, 16 s
 
 
 class TimeLimitsAreFailures(Collector):
@@ -37,23 +39,35 @@ class TimeLimitsAreFailures(Collector):
         return np.zeros(len(truncated))
 
 
-DELTAS = {  # name -> options of the training, and the collector
-    LESSON: ({}, Collector),
-    "lambda": ({"lam": 1.0}, Collector),
-    "clipping": ({"clip": 1e9}, Collector),
-    "time-limits": ({}, TimeLimitsAreFailures)}
-TITLES = {"lambda": "lambda = 1: no GAE", "clipping": "no clipping",
-          "time-limits": "time limits are failures"}
+class ShortTraining(Training):
+    """Episodes of SHORT steps. With 200 nobody runs out of time in env1, and a time limit makes no
+    difference at all."""
+
+    def make_env(self, rooms):
+        return NavVecEnv(len(rooms), rooms, self.config.targets, self.config.random_starts,
+                         max_episode_steps=SHORT)
+
+
+DELTAS = {  # name -> options of the training, the training, and the collector
+    LESSON: ({}, Training, Collector),
+    "lambda": ({"lam": 1.0}, Training, Collector),
+    "clipping": ({"clip": 1e9}, Training, Collector),
+    "short": ({}, ShortTraining, Collector),
+    "time-limits": ({}, ShortTraining, TimeLimitsAreFailures)}
+TITLES = {LESSON: LESSON, "lambda": "lambda = 1: no GAE", "clipping": "no clipping",
+          "short": f"the lesson with {SHORT} steps an episode",
+          "time-limits": "the same, and running out of time is a failure"}
+COMPARED = {"lambda": LESSON, "clipping": LESSON, "time-limits": "short"}  # each with what it is not
 
 
 def learn(name, seed, steps=STEPS):
     """A row for each WINDOW training episodes of one training: `delta`, `seed`, `steps`, `success`
     over these, and `frozen`, that of the policy at the end from anywhere to anywhere."""
-    options, collector = DELTAS[name]
+    options, make, collector = DELTAS[name]
     config = Config(env="env1", seed=seed, steps=steps, fixed_budget=True, **options)
     scene = scenes.load("env1")
     with patch.object(train, "Collector", collector):
-        training = Training(config, [scene], OneProcess())
+        training = make(config, [scene], OneProcess())
         train.train(training)
     result, _ = evaluate(Policy(training.model, "mean", seed), [scene], EPISODES, "anywhere")
     episodes = [row for row in training.record.episodes if row["kind"] == "training"]
@@ -67,17 +81,16 @@ def learn(name, seed, steps=STEPS):
 
 
 def draw(rows, name):
-    """Success of the lesson and of a delta against steps, every seed. rows: of deltas.csv. Returns
-    a Figure."""
+    """Success of a delta, and of what it is compared with, against steps, every seed. rows: of
+    deltas.csv. Returns a Figure."""
     figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     axes = figure.subplots()
-    for delta, colour, title in ((LESSON, PALETTE["paper"], LESSON),
-                                 (name, PALETTE["run"], TITLES[name])):
+    for delta, colour in ((COMPARED[name], PALETTE["paper"]), (name, PALETTE["run"])):
         for k, seed in enumerate(map(str, SEEDS)):
             own = [row for row in rows if row["delta"] == delta and row["seed"] == seed]
             axes.plot([int(row["steps"]) for row in own],
                       [100 * float(row["success"]) for row in own], color=colour, lw=1.8,
-                      label=title if k == 0 else None)
+                      label=TITLES[delta] if k == 0 else None)
     axes.set(xlabel="steps, all robots' together", ylim=(-2, 103),
              ylabel=f"success on training targets,\nlast {WINDOW} episodes [%]")
     axes.grid(alpha=0.3)
@@ -103,7 +116,7 @@ def main(argv=None):
                 writer.writeheader()
                 writer.writerows(rows)
     rows = read_table(RESULT)
-    for name in TITLES:
+    for name in COMPARED:
         draw(rows, name).savefig(PICTURES / f"delta-{name}.png", dpi=110)
         print(f"pictures/delta-{name}.png")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 import scenes as scene_files
-from model import BLANKS, INITIAL_STD, MEMORIES, SHUT, Network, make_network
+from model import BLANKS, MEMORIES, SHUT, Network, make_network
 from scenes.limits import sentence, shown, shown_path
 from sim import SceneError
 from support.run_folder import RunError, write
@@ -73,8 +73,9 @@ def first_network(config):
     """The network that a training begins with: that of `config.init`, else random weights, which a
     checkpoint soon replaces where the training goes on. Raises RunError.
 
-    The deviations of its actions are the first ones in either case: who is to learn must try things
-    again. Those of weights that have learnt are small."""
+    Of weights that have learnt only eyes and memory are kept. What it does and what it expects, the
+    last layers and the deviations of its actions, begin anew: where it stands still, sure of itself
+    in a world of another look, it would learn next to nothing."""
     if not config.init or config.resume:
         return make_network(config.seed, config.memory, config.without)
     model, _ = load_run(config.init)
@@ -84,8 +85,10 @@ def first_network(config):
         if own != wanted:
             raise RunError(f"--init {shown_path(config.init)} was trained with --{name} "
                            f"{own or 'nothing'}, but --{name} is {wanted or 'nothing'}")
-    with torch.no_grad():
-        model.log_std.copy_(torch.tensor(INITIAL_STD).log())
+    fresh = make_network(config.seed, config.memory, config.without)
+    model.action = fresh.action
+    model.value = fresh.value
+    model.log_std = fresh.log_std
     return model
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 
 def wrap_angle(angle):
-    """The same direction [rad] in (-pi, pi]. angle: a number or an array."""
+    """The same direction [rad] in (-pi, pi]: what is straight behind is pi, exactly, and never -pi.
+    angle: a number or an array."""
     raise NotImplementedError("your turn")
 
 

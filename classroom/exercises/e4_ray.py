@@ -11,7 +11,7 @@ import pytest
 
 def ray_length(origin, angle, p, q):
     """How far [m] a ray goes from the origin (x, y) in the direction angle [rad] until it meets the
-    wall from p (x, y) to q (x, y); math.inf where it does not.
+    wall from p (x, y) to q (x, y); math.inf where it does not, and where it runs along the wall.
 
     A point of the ray is origin + t (cos angle, sin angle), t >= 0, one of the wall p + u (q - p)
     with u from 0 to 1. Where both are the same point, there are two equations for t and u.

@@ -12,7 +12,8 @@ def advantages(rewards, values, last_value, gamma, lam):
 
         A_t = delta_t + gamma lam A_{t+1},    delta_t = r_t + gamma V_{t+1} - V_t,
 
-    with A_T = 0 and V_T = last_value. rewards, values: (T,).
+    with A_T = 0 and V_T = last_value, which is 0 where the robot arrived or collided. rewards,
+    values: (T,).
     """
     raise NotImplementedError("your turn")
 
