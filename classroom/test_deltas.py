@@ -10,7 +10,7 @@ from navbot_min import NavVecEnv
 
 @pytest.mark.parametrize("name, is_lesson", [("time-limits", False), (deltas.LESSON, True)])
 def test_a_time_limit_that_is_a_failure_leaves_nothing_to_come(name, is_lesson):
-    _, collector = deltas.DELTAS[name]
+    _, _, collector = deltas.DELTAS[name]
     env = NavVecEnv(2, ["env1"], max_episode_steps=3)
     driven = collector(env, make_network(0), REWARD_SCALE, 0, 0)
     ended = [episode for _ in range(3) for episode, _ in driven.step()]

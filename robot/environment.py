@@ -15,10 +15,11 @@ import math
 
 import numpy as np
 
-from navbot_min import NavEnv, NavVecEnv, polar_targets
+from navbot_min import (ARRIVAL_REWARD, COLLISION_REWARD, NavEnv, NavVecEnv, polar_targets,
+                        rewards)
 from render import FOCAL, H, W
 from robot import lens, ring
-from robot.looks import drawn_cameras, own_cameras
+from robot.looks import DRAWN_LOOKS, drawn_cameras, own_cameras
 from scenes.reality import KNOBS, Reality
 from sim import CONTROL_PERIOD, wrap_angle
 from support.checks import load_scenes
@@ -60,7 +61,7 @@ class RealVecEnv(NavVecEnv):
     """
 
     changing = (*NavVecEnv.changing, *KNOBS, "estimates", "asked", "stops", "_light", "_drift",
-                "_delayed", "_before", "_wheels", "_taken", "_shown", "_stood", "image_ages")
+                "_delayed", "_before", "_distances", "_wheels", "_taken", "_shown", "_stood", "image_ages")
     has_ring = False  # whether its sensors stop the robot
 
     def __init__(self, num_envs=32, scenes=("lab",), *args, **options):
@@ -80,6 +81,7 @@ class RealVecEnv(NavVecEnv):
         self._drift = np.zeros((R, 3))  # errors of distance, turn and heading in this episode
         self._delayed = np.zeros(R, bool)  # whether images are a period old in this episode
         self._before = np.zeros((R, 3))  # true poses when odometry looked last
+        self._distances = np.zeros(R)  # [m] to the targets by odometry, then
         self._wheels = np.zeros((R, 2))  # [m/s] speeds of the left and the right wheel
         self._taken = np.zeros((R, H, W, 3), np.uint8)  # the last image
         self._shown = np.zeros((R, H, W, 3), np.uint8)  # the last one that got to the policy
@@ -107,7 +109,7 @@ class RealVecEnv(NavVecEnv):
         if not self.has_ring:
             return wanted
         readings = ring.listen(self.world, self.range_noise, self.range_dropouts, self.np_random)
-        refused = ring.is_blocked(readings) & (wanted[:, 0] > 0)
+        refused = ring.is_blocked(readings, wanted) & (wanted[:, 0] > 0)
         self.stops = self.stops + refused
         return np.where(refused[:, None] & (True, False), 0.0, wanted)
 
@@ -130,8 +132,9 @@ class RealVecEnv(NavVecEnv):
         return np.where(exact[:, None], commands, motion)
 
     def is_standing(self):
-        """Which robots (R,) have stood so long that their episodes end."""
-        return self._stood >= STANDING_STEPS
+        """Which robots (R,) have stood so long that their episodes end: only with the ring, which
+        may leave them no way on."""
+        return self.has_ring & (self._stood >= STANDING_STEPS)
 
     # ----------------------------------------------------------------- from the world to the policy
 
@@ -143,11 +146,22 @@ class RealVecEnv(NavVecEnv):
         for r in new:
             self._begin_reality(r)
         self._measure(robots, new, poses)
+        target = polar_targets(self.estimates[robots], goals)
+        paid = self._believed_rewards(robots, new, target[:, 0], last_rewards)
         seen = super().observe(robots, self._mounted(robots, poses), goals, self.asked[robots],
-                               last_rewards)
+                               paid)
         seen["image"] = self._delivered(robots, new, self._exposed(robots, seen["image"]))
-        seen["target"] = polar_targets(self.estimates[robots], goals).astype(np.float32)
+        seen["target"] = target.astype(np.float32)
         return seen
+
+    def _believed_rewards(self, robots, new, distances, true):
+        """The last rewards (n,) as the robots know them: what was paid for nearing by their
+        odometry, for the true ones would tell how far the target truly is. An end is felt.
+        distances: (n,) [m] to the targets by odometry."""
+        nearing = rewards(self._distances[robots], distances, False, False)
+        self._distances[robots] = distances
+        is_end = np.isin(true, (ARRIVAL_REWARD, COLLISION_REWARD))
+        return np.where(np.isin(robots, new) | is_end, true, nearing)
 
     def _begin_reality(self, r):
         """Draws what is robot r's own in the episode that begins."""
@@ -233,18 +247,26 @@ class RealEnv(NavEnv):
 
 
 class RandomVecEnv(RealVecEnv):
-    """Reality of which nothing is known: the knobs of every episode are drawn anew, up to GUESS,
-    and every robot has a room of another look."""
+    """Reality of which nothing is known: in every episode the knobs are drawn anew, up to GUESS, and
+    one of DRAWN_LOOKS looks."""
+
+    changing = (*RealVecEnv.changing, "looks")
 
     def __init__(self, num_envs=32, scenes=("env2",), *args, **options):
         """As NavVecEnv."""
         given = load_scenes(scenes, most=num_envs)
         each = [given[r % len(given)] for r in range(num_envs)]  # one for each robot
         super().__init__(num_envs, each, *args, **options)
-        self.camera = drawn_cameras(self.scenes)
+        self.looks = np.zeros(num_envs, int)  # indices into the drawn looks
+        self.camera = drawn_cameras(self.scenes, self.looks)
 
     def draw_knobs(self, r):
+        self.looks[r] = self.np_random.integers(DRAWN_LOOKS)
         return drawn_knobs(self.np_random)
+
+    def load_state(self, state):
+        super().load_state(state)
+        self.camera.look_of = self.looks
 
 
 class RingVecEnv(RealVecEnv):

@@ -8,24 +8,21 @@ the maximum velocities, and the `memory` for the next step. All but the image ar
 """
 
 import logging
-import time
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import nn
 
 from model import HIDDEN, IMAGE_MEAN, IMAGE_SCALE, REWARD_SCALE, TARGET_SCALE
 from render import H, W
+from robot.onnx_policy import INPUTS, seconds_a_step
 from support.command_line import CommandLine, option
 from support.run_folder import RunError, WriteError, write
 from support.weights import load_run
 
-INPUTS = ("image", "target", "velocity", "last_reward", "memory")
 OUTPUTS = ("action", "next_memory")
-STEPS = 200  # that are timed
 
 
 @dataclass
@@ -101,42 +98,6 @@ def as_onnx(network):
         program = torch.onnx.export(Step(network).eval(), first_inputs(network), dynamo=True,
                                     input_names=INPUTS, output_names=OUTPUTS, verbose=False)
     return program.model_proto.SerializeToString()
-
-
-class OnnxPolicy:
-    """What an exported file does, for one robot: `reset()`, then `act(observation)` every step."""
-
-    def __init__(self, content):
-        """content: of an ONNX file, or its path."""
-        import onnxruntime  # here: who only exports does without it
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self.session = onnxruntime.InferenceSession(content, options)
-        shapes = {item.name: item.shape for item in self.session.get_inputs()}
-        self.memory = np.zeros(shapes["memory"], np.float32)
-
-    def reset(self):
-        """An episode begins."""
-        self.memory[:] = 0
-
-    def act(self, observation):
-        """The action (2,) for what the robot sees, a dict of arrays."""
-        inputs = {name: observation[name] for name in INPUTS if name != "memory"}
-        action, self.memory = self.session.run(None, inputs | {"memory": self.memory})
-        return action
-
-
-def seconds_a_step(content):
-    """How long a step takes by an ONNX file's content, the median of STEPS [s]."""
-    policy = OnnxPolicy(content)
-    seen = {"image": np.zeros((H, W, 3), np.uint8), "target": np.zeros(2, np.float32),
-            "velocity": np.zeros(2, np.float32), "last_reward": np.zeros(1, np.float32)}
-    took = []
-    for _ in range(STEPS):
-        begin = time.perf_counter()
-        policy.act(seen)
-        took.append(time.perf_counter() - begin)
-    return np.median(took)
 
 
 def main(argv=None):

@@ -32,11 +32,14 @@ class LabRobot:
     def _measure(self, image, estimate):
         """What the sensors say now. estimate: the pose (3,) by odometry."""
         env = self.env
-        taken = self.now() - env.image_ages[0] * CONTROL_PERIOD
+        age = 0 if self.outcome else env.image_ages[0]
+        taken = self.now() - age * CONTROL_PERIOD
         self._image = Stamped(image.copy(), taken)
         self._odometry = Stamped(np.array(estimate), self.now())
-        [readings] = ring.listen(env.world, env.range_noise, env.range_dropouts, env.np_random)
-        self._ranges = Stamped(readings, self.now())
+        if not self.outcome:  # else the world is the next episode's
+            [readings] = ring.listen(env.world, env.range_noise, env.range_dropouts, env.np_random)
+            self._readings = readings
+        self._ranges = Stamped(self._readings, self.now())
 
     def now(self):
         return self._periods * CONTROL_PERIOD

@@ -6,7 +6,7 @@ from render import Camera, H, W
 from scenes import MATERIALS
 from support.textures import ABOVE, PERIOD, texture
 
-DRAWN_LOOKS = 64  # our choice: with as many robots, each sees another one
+DRAWN_LOOKS = 64  # our choice, the same in every run
 LARGEST_BLOCK = 16  # [texel] 40 cm
 
 
@@ -91,15 +91,10 @@ CAMERAS = {"simulation": Camera, "lab": LabCamera}
 class Cameras:
     """A camera for each look. Like render.Camera, its `render` takes indices into scenes."""
 
-    def __init__(self, scenes, look_of, make):
-        """look_of: the look of each scene. make: the camera of a look and of Scenes like it."""
-        self.look_of = np.array(look_of)
-        self.place = np.zeros(len(scenes), int)  # of a scene among those of its look
-        self.cameras = {}
-        for look in sorted(set(look_of)):
-            alike = np.flatnonzero(self.look_of == look)
-            self.place[alike] = np.arange(len(alike))
-            self.cameras[look] = make(look, [scenes[k] for k in alike])
+    def __init__(self, look_of, cameras):
+        """look_of: of each scene, the key of its camera in `cameras`, an array."""
+        self.look_of = look_of
+        self.cameras = cameras
 
     def render(self, scene_of, poses, targets):
         """As render.Camera's."""
@@ -107,18 +102,17 @@ class Cameras:
         for look, camera in self.cameras.items():
             chosen = np.flatnonzero(self.look_of[scene_of] == look)
             if len(chosen):
-                images[chosen] = camera.render(self.place[scene_of[chosen]], poses[chosen],
-                                               targets[chosen])
+                images[chosen] = camera.render(scene_of[chosen], poses[chosen], targets[chosen])
         return images
 
 
 def own_cameras(scenes):
     """The Cameras of Scenes that look as their reality says."""
     look_of = [scene.reality.look if scene.reality else "simulation" for scene in scenes]
-    return Cameras(scenes, look_of, lambda look, alike: CAMERAS[look](alike))
+    return Cameras(np.array(look_of), {look: CAMERAS[look](scenes) for look in sorted(set(look_of))})
 
 
-def drawn_cameras(scenes):
-    """The Cameras of Scenes that take turns to look in DRAWN_LOOKS ways."""
-    look_of = [k % DRAWN_LOOKS for k in range(len(scenes))]
-    return Cameras(scenes, look_of, lambda look, alike: DrawnCamera(alike, look))
+def drawn_cameras(scenes, look_of):
+    """The Cameras of DRAWN_LOOKS looks. look_of: (R,) the look of each Scene now, an array that may
+    change."""
+    return Cameras(look_of, {seed: DrawnCamera(scenes, seed) for seed in range(DRAWN_LOOKS)})

@@ -1,5 +1,5 @@
-"""A network as the policy that `robot.robot.drive` asks; `robot.export.OnnxPolicy` does the same
-without torch."""
+"""A network as the policy that `robot.robot.drive` asks; `robot.onnx_policy.OnnxPolicy` does the
+same without torch."""
 
 import numpy as np
 import torch

@@ -5,7 +5,8 @@ and sends the wheels a command, once in every control period. Three things stand
 and the wheels:
 
 - the ring: where the way ahead is blocked, or that is not known, forward motion is refused;
-- the watchdog: without a new image or odometry for two periods the wheels stop until they come;
+- the watchdog: where the last image or odometry is more than two periods old, missing or broken, the
+  wheels stop until it comes;
 - the end, however it comes: Ctrl-C or an error stops the wheels before anything else.
 
 The lab is a Robot, too (`robot/lab.py`). A real one needs the same six methods (docs/robot.md).
@@ -19,7 +20,7 @@ import numpy as np
 from navbot_min import (HIGHEST_ACTION, LOWEST_ACTION, MAX_COMMAND, MAX_EPISODE_STEPS,
                         polar_targets, rewards)
 from render import H, W
-from robot.ring import SENSORS, is_blocked
+from robot.ring import SENSORS, SLACK, is_blocked
 from sim import ARRIVAL_DISTANCE, CONTROL_PERIOD
 
 WATCHDOG = 2 * CONTROL_PERIOD  # [s] what is older stops the wheels
@@ -35,7 +36,7 @@ class Robot(Protocol):
     """What a robot of one's own has to offer."""
 
     def now(self):
-        """The time [s], by the clock that all of its time stamps are of."""
+        """The time [s], by the clock that all of its time stamps are of, one that is never set."""
 
     def sleep_until(self, time):
         """Waits until that time [s]."""
@@ -66,40 +67,63 @@ class Drive:
     waits: int = 0  # periods in which the watchdog stopped the wheels
 
 
+def numbers_of(stamped, shape):
+    """A Stamped value as an array of floats of that shape; None where it is no such thing."""
+    try:
+        numbers = np.asarray(stamped.value, dtype=float)
+    except (AttributeError, TypeError, ValueError):
+        return None
+    return numbers if numbers.shape == shape else None
+
+
+def age_of(stamped, now):
+    """How old a Stamped value is [s]; NaN where it has no time."""
+    try:
+        return now - float(stamped.time)
+    except (AttributeError, TypeError, ValueError):
+        return np.nan
+
+
+def is_fresh(age):
+    """Whether an age [s] is neither too old nor of the future, and a number at all."""
+    return -SLACK <= age <= WATCHDOG + SLACK
+
+
 def is_image(image):
     """Whether the camera has brought an image as the policy wants it."""
     value = getattr(image, "value", None)
     return isinstance(value, np.ndarray) and value.shape == (H, W, 3) and value.dtype == np.uint8
 
 
-def is_pose(odometry):
-    """Whether the odometry has brought three finite numbers."""
-    value = getattr(odometry, "value", None)
-    return np.shape(value) == (3,) and bool(np.isfinite(np.asarray(value, float)).all())
+def checked_goal(goal):
+    """A goal as an array (2,). Raises ValueError."""
+    numbers = numbers_of(Stamped(goal, 0.0), (2,))
+    if numbers is None or not np.isfinite(numbers).all():
+        raise ValueError(f"goal is {goal!r}, it must be two finite numbers, x and y [m]")
+    return numbers
 
 
 def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
     """Drives a Robot until its odometry says that it has arrived at the goal (x, y) [m], or for so
-    many control periods. Returns a Drive.
+    many control periods. Returns a Drive. Raises ValueError for a goal that is none.
 
     policy: has `reset()` and `act(observation)`, which returns an action (2,), as
     `TorchPolicy` and `OnnxPolicy` have. The wheels stand when this ends, however it ends.
     """
     log = Drive()
-    goal = np.asarray(goal, dtype=float)
+    goal = checked_goal(goal)
     policy.reset()
     command = np.zeros(2)
     reward = 0.0
     before = None  # [m] distance to the goal a period ago
     try:
-        start = robot.now()
-        for k in range(periods):
-            robot.sleep_until(start + k * CONTROL_PERIOD)
+        due = robot.now()
+        for _ in range(periods):
+            robot.sleep_until(due)
+            due = next_period(due, robot.now())
             measured = image_and_pose(robot)
             if measured is None:
-                log.waits += 1
-                command = np.zeros(2)
-                robot.send(0.0, 0.0)
+                command = wait(robot, log)
                 continue
             image, pose = measured
             log.poses.append(pose)
@@ -113,12 +137,28 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
             before = distance
             action = policy.act(as_observation(image, target[0], command, reward))
             command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
+            if not np.isfinite(command).all() or image_and_pose(robot) is None:  # it took too long
+                command = wait(robot, log)
+                continue
             command = after_ring(robot, command, log)
             robot.send(*command.tolist())
             log.commands.append(command)
     finally:
         robot.send(0.0, 0.0)
     return log
+
+
+def next_period(due, now):
+    """When the next control period begins [s], after the one that was due: whoever is late does not
+    catch up, and a clock that was set back does not make it wait."""
+    return min(max(due + CONTROL_PERIOD, now), now + CONTROL_PERIOD)
+
+
+def wait(robot, log):
+    """Stops the wheels for a period. Returns the command (2,) that this is."""
+    log.waits += 1
+    robot.send(0.0, 0.0)
+    return np.zeros(2)
 
 
 def as_observation(image, target, command, reward):
@@ -133,21 +173,21 @@ def image_and_pose(robot):
     or too old."""
     image = robot.image()
     odometry = robot.odometry()
-    if not (is_image(image) and is_pose(odometry)):
+    pose = numbers_of(odometry, (3,))
+    if not is_image(image) or pose is None or not np.isfinite(pose).all():
         return None
-    if robot.now() - min(image.time, odometry.time) > WATCHDOG:
+    now = robot.now()
+    if not (is_fresh(age_of(image, now)) and is_fresh(age_of(odometry, now))):
         return None
-    return image.value, np.asarray(odometry.value, dtype=float)
+    return image.value, pose
 
 
 def after_ring(robot, command, log):
     """The command (2,) after the ring: without forward motion where the way ahead is blocked."""
     ranges = robot.ranges()
-    readings = None if ranges is None else ranges.value
-    age = np.inf if ranges is None else robot.now() - ranges.time
-    known = np.shape(readings) == (SENSORS,)
-    log.readings.append(np.asarray(readings, float) if known else np.full(SENSORS, np.nan))
-    if command[0] > 0 and is_blocked(readings, age):
+    readings = numbers_of(ranges, (SENSORS,))
+    log.readings.append(np.full(SENSORS, np.nan) if readings is None else readings)
+    if command[0] > 0 and is_blocked(readings, command, age_of(ranges, robot.now())):
         log.stops += 1
         return np.array([0.0, command[1]])
     return command

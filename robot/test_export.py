@@ -1,15 +1,19 @@
 """The exported policy acts like torch's, over whole episodes."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
 
 from model import make_network
 from navbot_min import NavVecEnv
-from robot.export import OnnxPolicy, as_onnx, main
 from support.weights import load_run
 
 pytest.importorskip("onnxruntime", reason="pip install -r robot/requirements.txt")
+from robot.export import as_onnx, main  # noqa: E402, after the skip
+from robot.onnx_policy import OnnxPolicy  # noqa: E402
 
 
 def compare(network, steps):
@@ -53,3 +57,10 @@ def test_the_command_line_writes_the_file(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["pretrained/any-room.pt", str(tmp_path / "policy.pt")])
     assert "its name must end in .onnx" in capsys.readouterr().err
+
+
+def test_a_robot_without_torch_can_drive_by_the_file(tmp_path):
+    code = ("import sys; sys.modules['torch'] = None; import robot.robot; "
+            "from robot.onnx_policy import OnnxPolicy")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

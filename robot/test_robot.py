@@ -14,9 +14,11 @@ from navbot_min import COLLISION_REWARD, OUTCOMES, NavVecEnv, polar_targets
 from robot import lens, ring
 from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv, drawn_knobs, environment_of
 from robot.lab import LabRobot
+from robot.looks import DRAWN_LOOKS
 from robot.mapping import OccupancyGrid
 from robot.policy import TorchPolicy
-from robot.robot import Stamped, drive
+from robot.robot import Stamped, drive, next_period
+from scenes.generate import NARROWEST
 from scenes.reality import KNOBS, Reality, parse_reality
 from sim import (CONTROL_PERIOD, MAX_LINEAR_VELOCITY, ROBOT_RADIUS, Box, Scene, SceneError,
                  wrap_angle)
@@ -239,6 +241,12 @@ def test_a_room_that_looks_otherwise_has_the_same_shapes():
 
 
 def test_a_drawn_reality_is_within_what_a_file_may_hold_and_new_every_episode():
+    env, _ = started(PLAIN, R=8, environment=RandomVecEnv)
+    looks = set()
+    for k in range(12):
+        env.reset(seed=k)
+        looks |= set(env.looks.tolist())
+    assert len(looks) > 40 and looks <= set(range(DRAWN_LOOKS))
     drawn = [drawn_knobs(np.random.default_rng(k)) for k in range(300)]
     for name, item in KNOBS.items():
         values = np.array([knobs[name] for knobs in drawn])
@@ -254,33 +262,73 @@ def test_a_drawn_reality_is_within_what_a_file_may_hold_and_new_every_episode():
 # ----------------------------------------------------------------------------------------- the ring
 
 
-def test_the_limits_are_where_things_stand_in_the_way():
-    way = np.linspace(0, MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ring.MARGIN - ring.BESIDE, 400)
-    for angle, limit in zip(ring.ANGLES, ring.LIMITS):
-        if math.cos(angle) < 1e-9:
-            assert limit == 0
-            continue
-        r = np.linspace(ROBOT_RADIUS, 0.6, 4000)
-        thing = np.stack([r * math.cos(angle), r * math.sin(angle)], -1)
-        apart = np.hypot(thing[:, None, 0] - way, thing[:, None, 1]).min(1)
-        swept = r[apart < ROBOT_RADIUS + ring.BESIDE]
-        assert limit == pytest.approx(swept.max(initial=ROBOT_RADIUS) - ROBOT_RADIUS, abs=1e-3)
+def swept(thing, command):
+    """How near [m] a robot that obeys a command comes to a thing (2,) [m]: by many small steps."""
+    place = np.zeros(2)
+    heading = 0.0
+    nearest = np.hypot(*thing)
+    for _ in range(2000):
+        dt = (CONTROL_PERIOD + ring.LONGER) / 2000
+        heading += command[1] * dt
+        place += command[0] * dt * np.array([math.cos(heading), math.sin(heading)])
+        nearest = min(nearest, np.hypot(*(thing - place)))
+    return nearest
 
 
 FREE = np.full(ring.SENSORS, ring.RANGE)
+COMMANDS = [(0.3, 0.0), (0.3, 0.9), (0.3, -0.9), (0.05, 0.5)]
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan, 0.05, -1.0])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_thing_blocks_where_the_way_would_come_too_near_to_it(command):
+    for sensor, angle in enumerate(ring.ANGLES):
+        for away in (0.01, 0.03, 0.06, 0.12, 0.2):
+            readings = FREE.copy()
+            readings[sensor] = away
+            r = ROBOT_RADIUS + away
+            nearest = swept(r * np.array([math.cos(angle), math.sin(angle)]), command)
+            if abs(nearest - ROBOT_RADIUS - ring.BESIDE) < 2e-3 or abs(nearest - r) < 1e-4:
+                continue  # too near to either limit for this twin to tell
+            expected = math.cos(angle) > 1e-9 and nearest < min(ROBOT_RADIUS + ring.BESIDE, r)
+            assert ring.is_blocked(readings, command) == expected, (sensor, away)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, -1.0])
 def test_what_is_no_reading_blocks_the_way_where_it_counts(value):
-    assert not ring.is_blocked(FREE)
+    ahead = (0.3, 0.0)
+    assert not ring.is_blocked(FREE, ahead)
     for sensor, angle in enumerate(ring.ANGLES):
         readings = FREE.copy()
         readings[sensor] = value
-        ahead = ring.LIMITS[sensor] > (value if value > 0 else 0)
-        assert ring.is_blocked(readings) == ahead
-    assert ring.is_blocked(None) and ring.is_blocked(FREE[:-1]) and ring.is_blocked([])
-    assert ring.is_blocked(FREE, ages=3 * CONTROL_PERIOD) and not ring.is_blocked(FREE, ages=0.4)
-    assert ring.is_blocked(FREE, ages=np.nan)
+        assert ring.is_blocked(readings, ahead) == (math.cos(angle) > 1e-9)
+    assert all(ring.is_blocked(none, ahead) for none in (None, FREE[:-1], []))
+    assert not ring.is_blocked(FREE, ahead, ages=2 * CONTROL_PERIOD)
+    assert all(ring.is_blocked(FREE, ahead, ages=age)
+               for age in (3 * CONTROL_PERIOD, np.nan, -1.0))
+
+
+def test_the_ring_lets_a_robot_through_the_narrowest_passage():
+    width = NARROWEST
+    walls_beside = width / 2 / np.abs(np.sin(ring.ANGLES)).clip(1e-9)
+    readings = np.minimum(walls_beside - ROBOT_RADIUS, ring.RANGE)
+    assert not ring.is_blocked(readings, (0.3, 0.0))
+    assert ring.is_blocked(readings, (0.3, 0.9)) and ring.is_blocked(readings, (0.3, -0.9))
+
+
+def test_with_the_ring_bends_towards_corners_end_in_no_collision():
+    """A driver that weaves at full speed, in the lab, 16 robots for 300 periods."""
+    hits = {}
+    for environment in (RealVecEnv, RingVecEnv):
+        env, _ = started(LAB, R=16, environment=environment)
+        rng = np.random.default_rng(0)
+        hits[environment] = 0
+        for k in range(300):
+            turn = np.where(rng.random(16) < 0.5, 0.9, -0.9) if k % 5 == 0 else turn
+            _, _, _, _, infos = env.step(np.column_stack([np.ones(16), turn]))
+            ended = infos.get("_final_info", np.zeros(16, bool))
+            if ended.any():
+                hits[environment] += int((infos["final_info"]["outcome"][ended] == 1).sum())
+    assert hits[RealVecEnv] > 50 and hits[RingVecEnv] <= 1  # one may begin within a cell of a wall
 
 
 def test_the_ring_hears_the_nearest_thing_in_a_cone():
@@ -309,6 +357,7 @@ def test_readings_have_their_noise_drop_out_and_are_none_in_the_blind_zone():
     assert abs(np.isnan(heard).mean() - 0.1) < 0.02
     inside = (exact > 0.1) & (exact < ring.RANGE - 0.1) & ~np.isnan(heard)
     assert abs((heard - exact)[inside].std() - 0.01) < 0.001
+    assert (heard[(exact == ring.RANGE) & ~np.isnan(heard)] == ring.RANGE).all()  # no echo, no noise
     x, y, _ = PLAIN.start
     beside = [1.14 - 0.075 - ROBOT_RADIUS - ring.BLIND / 2, y, 0.0]  # the east wall, ahead
     env.world.place(slice(None), np.tile(beside, (400, 1)))
@@ -332,6 +381,30 @@ def test_the_ring_keeps_a_robot_from_the_wall_refuses_no_turn_and_standing_ends_
     wanted = np.tile([0.3, 0.7], (8, 1))
     blocked = env.stopped(wanted)
     assert np.array_equal(blocked[:, 1], wanted[:, 1])
+
+
+def test_without_the_ring_standing_ends_nothing():
+    env, _ = started(LAB, R=2, environment=RealVecEnv)
+    for _ in range(60):
+        _, _, terminated, _, _ = env.step(np.tile([0.0, 0.5], (2, 1)))
+        assert not terminated.any()
+
+
+def test_the_last_reward_is_paid_by_odometry_and_tells_no_more_than_the_target():
+    drifting = replace(PLAIN, reality=Reality(distance_drift=0.3, veer=0.2))
+    env, seen = started(drifting, R=8, environment=RealVecEnv)
+    before = seen["target"][:, 0].astype(float)
+    differs = False
+    for step in some_actions(8, 12):
+        seen, paid, terminated, truncated, _ = env.step(step)
+        goes_on = ~(terminated | truncated)
+        distance = seen["target"][:, 0].astype(float)
+        believed = 100 * (before - distance) - 0.05
+        assert np.allclose(seen["last_reward"][goes_on, 0], believed[goes_on], atol=1e-3)
+        assert (seen["last_reward"][~goes_on] == 0).all()
+        differs |= bool(np.abs(paid - believed)[goes_on].max(initial=0) > 0.5)
+        before = distance
+    assert differs
 
 
 # ---------------------------------------------------------------------------------------- the state
@@ -435,6 +508,40 @@ def test_without_ranges_forward_motion_is_refused_and_turning_is_not(broken):
     log = drive(robot, Ahead(), robot.goal, periods=5)
     assert all(linear == 0 for linear, _ in robot.sent) and log.stops == 5
     assert any(angular != 0 for _, angular in robot.sent)
+
+
+@pytest.mark.parametrize("name", ["image", "odometry", "ranges"])
+@pytest.mark.parametrize("time", [np.nan, 1e9, None])
+def test_a_time_stamp_of_the_future_or_none_is_no_measurement(name, time):
+    robot = Faulty(lambda which, period, value: value._replace(time=time) if which == name
+                   else value)
+    log = drive(robot, Ahead(), robot.goal, periods=4)
+    assert all(linear == 0 for linear, _ in robot.sent)
+    assert log.stops + log.waits == 4
+
+
+@pytest.mark.parametrize("action", [(np.nan, 0.0), (1.0, np.nan)])
+def test_an_action_that_is_no_number_never_gets_to_the_wheels(action):
+    class Lost(Ahead):
+        def act(self, observation):
+            return np.array(action)
+    robot = Faulty()
+    log = drive(robot, Lost(), robot.goal, periods=3)
+    assert set(robot.sent) == {(0, 0)} and log.waits == 3
+
+
+@pytest.mark.parametrize("goal", [(np.nan, 0.0), (3.0, 0.0, 9.0), (3.0,), "home", None])
+def test_a_goal_that_is_no_place_is_refused_before_anything_moves(goal):
+    robot = Faulty()
+    with pytest.raises(ValueError, match="must be two finite numbers"):
+        drive(robot, Ahead(), goal)
+    assert robot.sent == []
+
+
+def test_whoever_is_late_does_not_catch_up_and_a_clock_that_is_set_makes_nobody_wait():
+    assert next_period(due=4.0, now=4.01) == pytest.approx(4.4)
+    assert next_period(due=4.0, now=9.0) == 9.0
+    assert next_period(due=4.0, now=-3600.0) == pytest.approx(-3599.6)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
