@@ -57,7 +57,7 @@ DELTAS = {  # name -> options of the training, the training, and the collector
 TITLES = {LESSON: LESSON, "lambda": "lambda = 1: no GAE", "clipping": "no clipping",
           "short": f"the lesson with {SHORT} steps an episode",
           "time-limits": "the same, and running out of time is a failure"}
-COMPARED = {"lambda": LESSON, "clipping": LESSON, "time-limits": "short"}  # each with what it is not
+COMPARED = {"lambda": LESSON, "clipping": LESSON, "time-limits": "short"}  # delta -> with what
 
 
 def learn(name, seed, steps=STEPS):

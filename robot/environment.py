@@ -61,7 +61,8 @@ class RealVecEnv(NavVecEnv):
     """
 
     changing = (*NavVecEnv.changing, *KNOBS, "estimates", "asked", "stops", "_light", "_drift",
-                "_delayed", "_before", "_distances", "_wheels", "_taken", "_shown", "_stood", "image_ages")
+                "_delayed", "_before", "_distances", "_wheels", "_taken", "_shown", "_stood",
+                "image_ages")
     has_ring = False  # whether its sensors stop the robot
 
     def __init__(self, num_envs=32, scenes=("lab",), *args, **options):
@@ -247,8 +248,8 @@ class RealEnv(NavEnv):
 
 
 class RandomVecEnv(RealVecEnv):
-    """Reality of which nothing is known: in every episode the knobs are drawn anew, up to GUESS, and
-    one of DRAWN_LOOKS looks."""
+    """Reality of which nothing is known: in every episode the knobs are drawn anew, up to GUESS,
+    and one of DRAWN_LOOKS looks."""
 
     changing = (*RealVecEnv.changing, "looks")
 

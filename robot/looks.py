@@ -109,7 +109,8 @@ class Cameras:
 def own_cameras(scenes):
     """The Cameras of Scenes that look as their reality says."""
     look_of = [scene.reality.look if scene.reality else "simulation" for scene in scenes]
-    return Cameras(np.array(look_of), {look: CAMERAS[look](scenes) for look in sorted(set(look_of))})
+    cameras = {look: CAMERAS[look](scenes) for look in sorted(set(look_of))}
+    return Cameras(np.array(look_of), cameras)
 
 
 def drawn_cameras(scenes, look_of):

@@ -5,8 +5,8 @@ and sends the wheels a command, once in every control period. Three things stand
 and the wheels:
 
 - the ring: where the way ahead is blocked, or that is not known, forward motion is refused;
-- the watchdog: where the last image or odometry is more than two periods old, missing or broken, the
-  wheels stop until it comes;
+- the watchdog: where the last image or odometry is more than two periods old, missing or broken,
+  the wheels stop until it comes;
 - the end, however it comes: Ctrl-C or an error stops the wheels before anything else.
 
 The lab is a Robot, too (`robot/lab.py`). A real one needs the same six methods (docs/robot.md).
