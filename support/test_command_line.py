@@ -69,9 +69,10 @@ BAD = [
     (TRAIN, "--minibatches 0", "from 1 to 4,096"),
     (TRAIN, "--episodes-per-update 4097", "from 1 to 4,096"),
     (TRAIN, "--evaluation-episodes 1000000000", "from 1 to 100,000"),
-    *[(TRAIN, f"--{name} {value}", f"--{name} is {value}, it must be a number from {low} to 1.0")
-      for name, low in (("random-starts", 0.0), ("mirrored", 0.0), ("learning-rate", 1e-9),
-                        ("gamma", 0.0), ("lam", 0.0), ("clip", 1e-9))
+    *[(TRAIN, f"--{name} {value}", f"--{name} is {value}, it must be a number from {low} to {high}")
+      for name, low, high in (("random-starts", 0.0, 1.0), ("mirrored", 0.0, 1.0),
+                              ("learning-rate", 1e-9, 1.0), ("gamma", 0.0, 1.0), ("lam", 0.0, 1.0),
+                              ("clip", 1e-9, "1,000,000,000.0"))
       for value in ("nan", "inf", "-inf", "1e999", "-0.1")],
     (TRAIN, "--gamma a\x1b[31mred", "--gamma is 'a\\x1b[31mred', it must be a number"),
     (TRAIN, "--memory big", "--memory is 'big', it must be one of 'stacked', 'single', 'none'"),
