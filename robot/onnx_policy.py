@@ -3,7 +3,6 @@
 import time
 
 import numpy as np
-import onnxruntime
 
 from render import H, W
 
@@ -16,6 +15,7 @@ class OnnxPolicy:
 
     def __init__(self, content):
         """content: of an ONNX file, or its path."""
+        import onnxruntime  # here: whoever lacks it is told so by the export, in a sentence
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         self.session = onnxruntime.InferenceSession(content, options)

@@ -135,14 +135,8 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
             if before is not None:
                 reward = rewards(np.array([before]), np.array([distance]), False, False)[0]
             before = distance
-            action = policy.act(as_observation(image, target[0], command, reward))
-            command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
-            if not np.isfinite(command).all() or image_and_pose(robot) is None:  # it took too long
-                command = wait(robot, log)
-                continue
-            command = after_ring(robot, command, log)
-            robot.send(*command.tolist())
-            log.commands.append(command)
+            seen = as_observation(image, target[0], command, reward)
+            command = obey(robot, policy.act(seen), log)
     finally:
         robot.send(0.0, 0.0)
     return log
@@ -159,6 +153,19 @@ def wait(robot, log):
     log.waits += 1
     robot.send(0.0, 0.0)
     return np.zeros(2)
+
+
+def obey(robot, action, log):
+    """Tells the wheels what is left of a policy's action (2,) after watchdog and ring. Returns this
+    command (2,) [m/s, rad/s]."""
+    command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
+    took_too_long = image_and_pose(robot) is None  # for what it saw is out of date by now
+    if took_too_long or not np.isfinite(command).all():
+        return wait(robot, log)
+    command = after_ring(robot, command, log)
+    robot.send(*command.tolist())
+    log.commands.append(command)
+    return command
 
 
 def as_observation(image, target, command, reward):

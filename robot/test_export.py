@@ -59,6 +59,15 @@ def test_the_command_line_writes_the_file(tmp_path, capsys):
     assert "its name must end in .onnx" in capsys.readouterr().err
 
 
+def test_without_onnxruntime_nothing_is_written_and_one_sentence_says_so(tmp_path):
+    code = ("import sys; sys.modules['onnxruntime'] = None; from robot.export import main; "
+            f"main(['pretrained/env1.pt', {str(tmp_path / 'policy.onnx')!r}])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2 and not list(tmp_path.iterdir())
+    assert done.stderr.startswith("error: there is no library 'onnxruntime': pip install ")
+    assert done.stderr.count("\n") == 1
+
+
 def test_a_robot_without_torch_can_drive_by_the_file(tmp_path):
     code = ("import sys; sys.modules['torch'] = None; import robot.robot; "
             "from robot.onnx_policy import OnnxPolicy")

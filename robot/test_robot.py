@@ -10,7 +10,7 @@ import torch
 
 import scenes
 from model import make_network
-from navbot_min import COLLISION_REWARD, OUTCOMES, NavVecEnv, polar_targets
+from navbot_min import COLLISION, COLLISION_REWARD, OUTCOMES, NavVecEnv, polar_targets
 from robot import lens, ring
 from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv, drawn_knobs, environment_of
 from robot.lab import LabRobot
@@ -327,7 +327,7 @@ def test_with_the_ring_bends_towards_corners_end_in_no_collision():
             _, _, _, _, infos = env.step(np.column_stack([np.ones(16), turn]))
             ended = infos.get("_final_info", np.zeros(16, bool))
             if ended.any():
-                hits[environment] += int((infos["final_info"]["outcome"][ended] == 1).sum())
+                hits[environment] += int((infos["final_info"]["outcome"][ended] == COLLISION).sum())
     assert hits[RealVecEnv] > 50 and hits[RingVecEnv] <= 1  # one may begin within a cell of a wall
 
 
@@ -413,14 +413,15 @@ def test_the_last_reward_is_paid_by_odometry_and_tells_no_more_than_the_target()
 # ---------------------------------------------------------------------------------------- the state
 
 
-def test_an_environment_goes_on_from_its_state_exactly():
-    env, _ = started(LAB, R=3, environment=RingVecEnv)
+@pytest.mark.parametrize("environment", [RingVecEnv, RandomVecEnv])
+def test_an_environment_goes_on_from_its_state_exactly(environment):
+    env, _ = started(LAB, R=3, environment=environment)
     actions = some_actions(3, 16)
     for step in actions[:8]:
         env.step(step)
     state = env.state()
     after = [env.step(step)[0] for step in actions[8:]]
-    other, _ = started(LAB, R=3, environment=RingVecEnv, seed=5)
+    other, _ = started(LAB, R=3, environment=environment, seed=5)
     other.load_state(state)
     for step, expected in zip(actions[8:], after):
         seen, *_ = other.step(step)
@@ -530,6 +531,17 @@ def test_an_action_that_is_no_number_never_gets_to_the_wheels(action):
             return np.array(action)
     robot = Faulty()
     log = drive(robot, Lost(), robot.goal, periods=3)
+    assert set(robot.sent) == {(0, 0)} and log.waits == 3
+
+
+def test_a_policy_that_thinks_until_its_image_is_out_of_date_does_not_drive_by_it():
+    robot = Faulty()
+
+    class Slow(Ahead):
+        def act(self, observation):
+            robot._periods += 3  # pass while it thinks
+            return super().act(observation)
+    log = drive(robot, Slow(), robot.goal, periods=3)
     assert set(robot.sent) == {(0, 0)} and log.waits == 3
 
 
