@@ -35,7 +35,7 @@ MOST_STEPS = 2_000_000  # no run needs so many
 NO_LAB = {  # never in the lab: errors that are drawn anew each episode -> where, and how long
     "random-env2": ["--env", "env2", "--ring"],
     "random-rooms": ["--env", RANDOM, "--ring", "--init", "pretrained/any-room.pt"]}
-NO_LAB_STEPS = 1_000_000
+NO_LAB_STEPS = 600_000
 SEEDS = range(3)
 KNOB_EPISODES = 200  # of each error alone
 WINDOW = 300  # episodes that a point of a curve looks back on, of which 50 or so are to new targets
