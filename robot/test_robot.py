@@ -11,6 +11,7 @@ import torch
 import scenes
 from model import make_network
 from navbot_min import COLLISION, COLLISION_REWARD, OUTCOMES, NavVecEnv, polar_targets
+from render import FOCAL
 from robot import lens, ring
 from robot.environment import RandomVecEnv, RealVecEnv, RingVecEnv, drawn_knobs, environment_of
 from robot.lab import LabRobot
@@ -189,6 +190,25 @@ def test_exposure_white_balance_and_noise_are_as_large_as_they_say():
     expected = painted * 0.8 * np.array([1.1, 1.0, 0.9])
     difference = (seen["image"] - expected)[(expected > 25) & (expected < 230)]
     assert abs(difference.mean()) < 0.1 and abs(difference.std() - 5.0) < 0.1
+
+
+def test_a_camera_that_is_mounted_askew_looks_to_the_left_by_its_yaw_and_up_by_its_pitch():
+    env, seen = started(real(camera_yaw=0.1), R=1)
+    turned = env.world.poses + (0, 0, 0.1)
+    expected = env.camera.render(env.scene_of, turned, env.goals)
+    assert np.array_equal(seen["image"], expected)
+    _, plain = started(PLAIN, R=1)
+    _, seen = started(real(camera_pitch=math.atan(3 / FOCAL)), R=1)  # three rows
+    assert np.abs(seen["image"][:, 3:].astype(int) - plain["image"][:, :-3]).max() <= 1
+
+
+def test_a_policy_is_shown_the_velocity_that_it_asked_for_and_at_first_none():
+    env, _ = started(real(lag=0.5, wheel_gains=(1.2, 0.8)), R=2)
+    for _ in range(3):
+        seen, *_ = env.step(np.tile([1.0, 0.5], (2, 1)))
+    assert np.allclose(seen["velocity"], (MAX_LINEAR_VELOCITY, 0.5))
+    seen, _ = env.reset()
+    assert (seen["velocity"] == 0).all() and np.allclose(env.turned(np.zeros((2, 2))), 0)
 
 
 def test_light_changes_from_one_episode_to_the_next_and_not_within_one():
@@ -384,6 +404,8 @@ def test_the_ring_keeps_a_robot_from_the_wall_refuses_no_turn_and_standing_ends_
     wanted = np.tile([0.3, 0.7], (8, 1))
     blocked = env.stopped(wanted)
     assert np.array_equal(blocked[:, 1], wanted[:, 1])
+    deaf, _ = started(real(range_dropouts=1.0), R=8, environment=RingVecEnv)
+    assert np.array_equal(deaf.stopped(wanted), wanted * (0, 1))  # readings that drop out block
 
 
 def test_without_the_ring_standing_ends_nothing():
