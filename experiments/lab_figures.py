@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 import scenes
@@ -18,7 +19,8 @@ from experiments.lab_tables import NAMES, collisions, stops
 from experiments.markdown import percentages, select
 from experiments.runs import RESULTS, ROOT
 from render import Camera
-from robot.environment import RealVecEnv
+from robot import ring
+from robot.environment import RealVecEnv, RingVecEnv
 from robot.lab import LabRobot
 from robot.looks import DrawnCamera, LabCamera
 from robot.mapping import OccupancyGrid
@@ -26,7 +28,7 @@ from robot.policy import TorchPolicy
 from robot.robot import drive
 from scenes.generate import walls
 from scenes.reality import Reality
-from sim import Scene
+from sim import ROBOT_RADIUS, Scene
 from support.pictures import PALETTE, WIDTH, draw_robot, draw_target, read_table
 from support.weights import load_run
 
@@ -40,8 +42,9 @@ SEEN = {  # a knob of the camera -> its value in the picture
 DRIVEN = {  # a knob of odometry, wheels or time -> its value in the picture
     "distance_drift": 0.15, "turn_drift": 0.15, "veer": 0.2, "lag": 0.8,
     "wheel_gains": (1.0, 0.93), "dead_zone": 0.21, "period_jitter": 0.3}
+HEARD = {"range_noise": 0.1, "range_dropouts": 0.25}  # a knob of the ring -> its value
 UNITS = {"light_change": "", "camera_yaw": " deg", "camera_pitch": " deg", "veer": " rad/m",
-         "lag": " s", "dead_zone": " m/s", "blur": " px"}
+         "lag": " s", "dead_zone": " m/s", "blur": " px", "range_noise": " m"}
 
 
 def shown(name, value):
@@ -85,6 +88,34 @@ def driven(seed=5, **knobs):
     return np.array(true), np.array(believed)
 
 
+def heard(seed=3, **knobs):
+    """What the ring of a robot with those knobs hears at POSE: (S, 2) places [m] around the robot,
+    NaN where there is no reading."""
+    env = RingVecEnv(1, [room_with(**knobs)])
+    env.reset(seed=seed, options={"start": POSE, "target": 0})
+    [readings] = ring.listen(env.world, env.range_noise, env.range_dropouts, env.np_random)
+    away = ROBOT_RADIUS + readings
+    return np.stack([away * np.cos(ring.ANGLES), away * np.sin(ring.ANGLES)], -1)
+
+
+def draw_driven(axes, **knobs):
+    """The path of an S with those knobs, beside the simulation's."""
+    exact, _ = driven()
+    true, believed = driven(**knobs)
+    axes.plot(*exact.T, color=PALETTE["paper"], lw=3, label="simulation")
+    axes.plot(*true.T, color=PALETTE["robot"], lw=1.2, label="true path")
+    axes.plot(*believed.T, color=PALETTE["collision"], lw=1.2, ls="--", label="by odometry")
+
+
+def draw_heard(axes, **knobs):
+    """What the ring hears with those knobs, beside the simulation's."""
+    for x, y in heard():
+        axes.plot((0, x), (0, y), color=PALETTE["paper"], lw=1.5)
+    axes.plot(*heard(**knobs).T, color=PALETTE["robot"], marker="o", ms=3, ls="none",
+              label="a reading")
+    axes.add_patch(Circle((0, 0), ROBOT_RADIUS, color=PALETTE["robot"], lw=0))
+
+
 def draw_knobs():
     """Each knob alone, against the simulation. Returns a Figure."""
     figure = Figure(figsize=(WIDTH, 7.6), layout="constrained")
@@ -97,21 +128,17 @@ def draw_knobs():
         changed.set_title(shown(name, value), fontsize=8.5)
         for axes in (plain, changed):
             axes.axis("off")
-    exact, _ = driven()
-    for axes, (name, value) in zip(paths.subplots(2, 4).flat, DRIVEN.items()):
-        true, believed = driven(**{name: value})
-        axes.plot(*exact.T, color=PALETTE["paper"], lw=3)
-        axes.plot(*true.T, color=PALETTE["robot"], lw=1.2)
-        axes.plot(*believed.T, color=PALETTE["collision"], lw=1.2, ls="--")
+    below = list(paths.subplots(2, 5).flat)
+    drawn = [(draw_driven, knob) for knob in DRIVEN.items()]
+    drawn += [(draw_heard, knob) for knob in HEARD.items()]
+    for axes, (draw, (name, value)) in zip(below, drawn):
+        draw(axes, **{name: value})
         axes.set_title(shown(name, value), fontsize=8.5)
         axes.set(xticks=[], yticks=[], aspect="equal")
-    last = paths.axes[-1]
+    *_, last = below
     last.axis("off")
-    for style, label in ((dict(color=PALETTE["paper"], lw=3), "simulation"),
-                         (dict(color=PALETTE["robot"], lw=1.2), "true path"),
-                         (dict(color=PALETTE["collision"], lw=1.2, ls="--"), "by odometry")):
-        last.plot([], [], label=label, **style)
-    last.legend(loc="center", frameon=False, fontsize=9)
+    lines = below[0].get_lines() + below[len(DRIVEN)].get_lines()[-1:]
+    last.legend(handles=lines, loc="center", frameon=False, fontsize=8.5)
     return figure
 
 
