@@ -51,6 +51,16 @@ class Closed(Exception):
     """The window was closed."""
 
 
+def why_no_window():
+    """Why there is none, and what to do."""
+    try:
+        import tkinter  # noqa: F401
+    except ImportError:
+        return ("this python came without tkinter; on Debian and Ubuntu install python3-tk, "
+                "elsewhere take a python from python.org")
+    return "there is no display; sit before the machine, or connect with `ssh -X`"
+
+
 class Cockpit:
     """The window: what the robot sees, and which keys are held."""
 
@@ -64,11 +74,11 @@ class Cockpit:
             self.figure = plt.figure("navbot_min", figsize=(12 if with_map else 7, 6),
                                      layout="constrained")
         except Exception as error:  # each toolkit has errors of its own
-            raise RuntimeError(f"no window can be opened here: {error}") from None
+            raise RuntimeError(f"no window can be opened here: {error}; sit before the machine, or "
+                               "connect with `ssh -X`") from None
         canvas = self.figure.canvas
         if canvas.required_interactive_framework is None:
-            raise RuntimeError("no window can be opened here: there is no display, or python came "
-                               "without tkinter")
+            raise RuntimeError(f"no window can be opened here: {why_no_window()}")
         panels = self.figure.subplots(1, 2 if with_map else 1, squeeze=False)[0]
         self.picture = panels[0].imshow(np.zeros((48, 64, 3), np.uint8))
         panels[0].axis("off")
@@ -219,7 +229,7 @@ def table(rows):
     return "\n".join(lines)
 
 
-def add_rows(file, options, scene, traces):
+def add_rows(file, options, traces):
     """Adds a row for each episode to a CSV file."""
     paths = ShortestPaths()
     is_new = not file.exists()
@@ -230,7 +240,7 @@ def add_rows(file, options, scene, traces):
         for k, trace in enumerate(traces):
             shortest = paths.metres(trace.scene, trace.start, trace.goal)
             writer.writerow({
-                "name": options.name, "env": scene.name, "seed": options.seed, "episode": k,
+                "name": options.name, "env": options.env, "seed": options.seed, "episode": k,
                 "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
                 "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
                 "spl": round(spl(trace.arrived, shortest, trace.metres), 3)})
@@ -244,10 +254,8 @@ def main(argv=None):
     try:
         scene = scenes.load(options.env)
         cockpit = Cockpit(scene, options.map)
-    except SceneError as error:
+    except (SceneError, RuntimeError) as error:
         parser.error(error)
-    except RuntimeError as error:
-        parser.error(f"{error}; sit before the machine, or connect with `ssh -X`")
     folder = Path(options.out)
     parser.must_write_to(folder)
     try:
@@ -261,7 +269,7 @@ def main(argv=None):
               for planner in OTHERS]
     print(table([(options.name, yours), (name, its), *others]))
     folder.mkdir(parents=True, exist_ok=True)
-    add_rows(folder / "drives.csv", options, scene, yours)
+    add_rows(folder / "drives.csv", options, yours)
     draw_paths(scene, yours, its).savefig(folder / "paths.png", dpi=110)
     print(f"paths and drives.csv: {folder}")
 

@@ -5,6 +5,7 @@ Whoever drove the same room by the same seed drove the same tasks, and so did th
 drawn beside them.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from evaluation import summarise
 from sim import SceneError
 from support.command_line import CommandLine, option
 from support.pictures import PALETTE, WIDTH, read_table
+
+LARGEST = 2 ** 63  # so that a number fits where it is used
 
 
 @dataclass
@@ -39,13 +42,48 @@ def read_drives(parser, folder):
             parser.error(f"'{file}' cannot be read")
         if not read or set(read[0]) != set(COLUMNS):
             parser.error(f"'{file}' is no table of drives: its columns must be "
-                         f"{', '.join(COLUMNS)}")
+                         f"{', '.join(COLUMNS)}, separated by commas")
+        check_numbers(parser, file, read)
         again = names & {row["name"] for row in read}
         if again:
             parser.error(f"'{min(again)}' drives in two files: drive with another --name")
         names |= {row["name"] for row in read}
         rows += read
     return rows
+
+
+def check_numbers(parser, file, rows):
+    """Ends with a message where a number of a file's rows is none."""
+    for line, row in enumerate(rows, 2):  # after the header
+        for column, least in (("seed", 0), ("episode", 0), ("spl", 0)):
+            try:
+                value = float(row[column]) if column == "spl" else int(row[column])
+            except (TypeError, ValueError):
+                value = math.nan
+            if not least <= value < LARGEST:
+                parser.error(f"'{file}', line {line}: {column} is {row[column]!r}, it must be a "
+                             "number from 0 up")
+
+
+def first_tries(rows):
+    """The rows of each driver's first try of each task: whoever drives one again has practised."""
+    found = {}
+    for row in rows:
+        found.setdefault((row["name"], row["episode"]), row)
+    return list(found.values())
+
+
+def number_of_tasks(parser, rows):
+    """How many tasks every driver drove. Ends with a message where one drove others."""
+    driven = {}  # name -> numbers of tasks
+    for row in rows:
+        driven.setdefault(row["name"], set()).add(int(row["episode"]))
+    most = max(driven.values(), key=len)
+    for name, tasks in driven.items():
+        if tasks != set(range(len(most))):
+            parser.error(f"'{name}' drove {len(tasks)} tasks, and others {len(most)}: only drives "
+                         "of the same tasks can be compared")
+    return len(most)
 
 
 def by_driver(rows):
@@ -76,7 +114,7 @@ def draw(drivers, learner, title):
 def main(argv=None):
     """The command line."""
     parser = CommandLine("Draw the drives of a class into drives.png.")
-    rows = read_drives(parser, parser.read(Options, argv).folder)
+    rows = first_tries(read_drives(parser, parser.read(Options, argv).folder))
     tasks = {(row["env"], row["seed"]) for row in rows}
     if len(tasks) > 1:
         shown = ", ".join(sorted(f"{env} with seed {seed}" for env, seed in tasks))
@@ -86,8 +124,8 @@ def main(argv=None):
         scene = scenes.load(env)
     except SceneError as error:
         parser.error(error)
+    episodes = number_of_tasks(parser, rows)
     policy, _ = policy_for(scene)
-    episodes = 1 + max(int(row["episode"]) for row in rows)
     result = summarise(same_tasks(policy, scene, episodes, int(seed)))
     drivers = by_driver(rows)
     figure = draw(drivers, (100 * result["success"], result["spl"]),

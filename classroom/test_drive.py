@@ -82,8 +82,7 @@ def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
         traces = drive.same_tasks(Planned(planner, 0), ENV1, 3, seed)
         path = Path(f"{file}.csv")
         path.parent.mkdir(exist_ok=True)
-        drive.add_rows(path, options, ENV1, traces[:2])
-        drive.add_rows(path, options, ENV1, traces[2:])
+        drive.add_rows(path, options, traces)
     rows = read_table("class/a.csv") + read_table("class/b.csv")
     assert len(rows) == 6
     drivers = pool.by_driver(rows)
@@ -91,9 +90,16 @@ def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
     assert drivers["anna"] == pytest.approx((100, 1), abs=0.02)
     figure = pool.draw(drivers, (50.0, 0.4), "a title")
     assert [bar.get_width() for bar in figure.axes[0].patches] == [drivers["ben"][0], 100]
-    Path("other").mkdir()
-    Path("other/notes.csv").write_text("a,b\n1,2\n")
+    fewer = Path("class/a.csv").read_text().splitlines(keepends=True)
+    broken = "".join(fewer).replace("env1,0,2,", "env1,0,x,")
+    for file, text in (("other/notes", "a,b\n1,2\n"), ("broken/a", broken),
+                       ("fewer/a", "".join(fewer[:-1])),
+                       ("fewer/b", Path("class/b.csv").read_text())):
+        Path(file).parent.mkdir(exist_ok=True)
+        Path(f"{file}.csv").write_text(text)
     for folder, words in (("seeds", "only drives of the same tasks"),
+                          ("fewer", "'anna' drove 2 tasks, and others 3"),
+                          ("broken", "line 4: episode is 'x'"),
                           ("twice", "'anna' drives in two files"),
                           ("other", "is no table of drives"), ("none", "there is no CSV file")):
         with pytest.raises(SystemExit) as end:
@@ -103,7 +109,39 @@ def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
     assert Path("drives.png").exists()
 
 
+def test_a_task_that_is_driven_again_counts_as_it_was_first_driven():
+    rows = [{"name": name, "episode": episode, "outcome": outcome}
+            for name, episode, outcome in (("anna", "0", "collision"), ("anna", "1", "arrival"),
+                                           ("ben", "0", "timeout"), ("anna", "0", "arrival"))]
+    assert pool.first_tries(rows) == rows[:3]
+
+
+def test_a_second_drive_is_added_to_the_file_of_the_first(tmp_path):
+    file = tmp_path / "drives.csv"
+    traces = drive.same_tasks(Planned("straight", 0), ENV1, 1, 0)
+    drive.add_rows(file, drive.Options(name="anna"), traces)
+    drive.add_rows(file, drive.Options(name="ben"), traces)
+    assert [row["name"] for row in read_table(file)] == ["anna", "ben"]
+
+
+def test_drives_in_a_room_of_ones_own_are_pooled_by_what_was_driven(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "scenes" / "env1.toml", "my_room.toml")
+    scene = scenes.load("my_room.toml")
+    Path("drives").mkdir()
+    drive.add_rows(Path("drives/drives.csv"), drive.Options(env="my_room.toml"),
+                   drive.same_tasks(Planned("straight", 0), scene, 1, 0))
+    pool.main([])
+    assert Path("drives.png").exists()
+
+
+def test_a_python_without_tkinter_is_told_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tkinter", None)
+    assert "python3-tk" in drive.why_no_window()
+
+
 def test_without_a_display_it_says_what_to_do():
+    pytest.importorskip("tkinter")
     environment = {key: value for key, value in os.environ.items()
                    if key not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")}
     ended = subprocess.run([sys.executable, "-m", "classroom.drive"], cwd=ROOT, text=True,
