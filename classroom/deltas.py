@@ -86,10 +86,10 @@ def draw(rows, name):
     figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     axes = figure.subplots()
     for delta, colour in ((COMPARED[name], PALETTE["paper"]), (name, PALETTE["run"])):
-        for k, seed in enumerate(map(str, SEEDS)):
+        for k, (seed, style) in enumerate(zip(map(str, SEEDS), ("-", "--", ":"))):
             own = [row for row in rows if row["delta"] == delta and row["seed"] == seed]
             axes.plot([int(row["steps"]) for row in own],
-                      [100 * float(row["success"]) for row in own], color=colour, lw=1.8,
+                      [100 * float(row["success"]) for row in own], color=colour, ls=style, lw=1.8,
                       label=TITLES[delta] if k == 0 else None)
     axes.set(xlabel="steps, all robots' together", ylim=(-2, 103),
              ylabel=f"success on training targets,\nlast {WINDOW} episodes [%]")
