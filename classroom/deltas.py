@@ -6,6 +6,8 @@ pictures/delta-*.png. A run that is there already is not trained again.
 """
 
 import csv
+import io
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -18,8 +20,10 @@ from evaluation import Policy, evaluate
 from navbot_min import NavVecEnv
 from ppo import Collector
 from support.command_line import CommandLine
+from support.interruption import interruption
 from support.pictures import PALETTE, WIDTH, read_table
 from support.processes import OneProcess
+from support.run_folder import write
 from train import Config, Training
 
 PICTURES = Path(__file__).parent.parent / "pictures"
@@ -104,6 +108,7 @@ def main(argv=None):
     parser.parse(argv)
     for folder in (RESULT.parent, PICTURES):
         parser.must_write_to(folder)
+    interruption.handle("interrupted: the runs that are finished are kept")
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["delta"], row["seed"]) for row in rows}
     for name in DELTAS:
@@ -111,13 +116,14 @@ def main(argv=None):
             if (name, str(seed)) in made:
                 continue
             rows += learn(name, seed)
-            with open(RESULT, "w", newline="") as file:
-                writer = csv.DictWriter(file, rows[0])
-                writer.writeheader()
-                writer.writerows(rows)
+            text = io.StringIO(newline="")
+            writer = csv.DictWriter(text, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+            write(RESULT, text.getvalue().encode())
     rows = read_table(RESULT)
     for name in COMPARED:
-        draw(rows, name).savefig(PICTURES / f"delta-{name}.png", dpi=110)
+        write(PICTURES / f"delta-{name}.png", partial(draw(rows, name).savefig, dpi=110))
         print(f"pictures/delta-{name}.png")
 
 

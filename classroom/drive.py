@@ -7,9 +7,12 @@ stands in a table with the planners' and the learner's, on the same tasks.
 """
 
 import csv
+import io
 import math
+import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +28,18 @@ from support.command_line import CommandLine, option
 from support.interruption import interruption
 from support.pictures import (MARKERS, PALETTE, WIDTH, draw_robot, draw_room, draw_target,
                               start_handle)
+from support.run_folder import WriteError, write
 from support.traces import drive
 from support.weights import load_run
 
 PRETRAINED = Path(__file__).parent.parent / "pretrained"
 OTHERS = ("oracle", "bug", "straight")  # planners that drive the same tasks
 STEERING = {"up": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}  # key -> action
+STILL = 0.3  # [s] without a key, after which another episode may begin
 YOURS = PALETTE["run"]
 ITS = PALETTE["arrival"]
+MOST_EPISODES = 1000
+LARGEST_SEED = 1_000_000_000
 COLUMNS = ("name", "env", "seed", "episode", "outcome", "seconds", "metres", "shortest", "spl")
 
 
@@ -40,8 +47,9 @@ COLUMNS = ("name", "env", "seed", "episode", "outcome", "seconds", "metres", "sh
 class Options:
     """A drive."""
     env: str = option("env1", "a room: its name, a file (.toml, .world) or random:7")
-    episodes: int = option(5, "so many, from anywhere to anywhere", 1, 1000)
-    seed: int = option(0, "which tasks: the same seed, the same starts and targets", 0)
+    episodes: int = option(5, "so many, from anywhere to anywhere", 1, MOST_EPISODES)
+    seed: int = option(0, "which tasks: the same seed, the same starts and targets", 0,
+                       LARGEST_SEED)
     name: str = option("you", "who drives, for drives.csv")
     map: bool = option(False, "show the map, too: the policy has none")
     out: str = option("drives", "the folder that the picture and drives.csv go into")
@@ -66,11 +74,11 @@ class Cockpit:
 
     def __init__(self, scene, with_map):
         """Raises RuntimeError where there is no display."""
-        import matplotlib.pyplot as plt  # here: a test of the paths needs no window
-        for name in [name for name in plt.rcParams if name.startswith("keymap.")]:
-            plt.rcParams[name] = []  # arrows steer, and do nothing else
-        plt.rcParams["toolbar"] = "None"
         try:
+            import matplotlib.pyplot as plt  # here: a test of the paths needs no window
+            for name in [name for name in plt.rcParams if name.startswith("keymap.")]:
+                plt.rcParams[name] = []  # arrows steer, and do nothing else
+            plt.rcParams["toolbar"] = "None"
             self.figure = plt.figure("navbot_min", figsize=(12 if with_map else 7, 6),
                                      layout="constrained")
         except Exception as error:  # each toolkit has errors of its own
@@ -91,6 +99,8 @@ class Cockpit:
         canvas.mpl_connect("key_press_event", self._press)
         canvas.mpl_connect("key_release_event", self._release)
         canvas.mpl_connect("close_event", self._close)
+        if hasattr(canvas, "get_tk_widget"):  # a key that is released elsewhere is not held here
+            canvas.get_tk_widget().bind("<FocusOut>", lambda event: self.held.clear(), add="+")
         self.figure.show()
 
     def _press(self, event):
@@ -127,6 +137,18 @@ class Cockpit:
                 return self.held | self.pressed
             time.sleep(0.01)
 
+    def wait_for_release(self):
+        """Waits until no key was held or pressed for STILL: one that is held repeats itself."""
+        still_since = time.perf_counter()
+
+        def is_still(now):
+            nonlocal still_since
+            if self.held or self.pressed:
+                still_since = now
+            self.pressed.clear()
+            return now - still_since > STILL
+        self.wait(is_still)
+
     def close(self):
         """Closes the window."""
         import matplotlib.pyplot as plt
@@ -143,18 +165,25 @@ class You:
         self.episode = 0
         self.step = 0
         self.due = 0.0  # [s] when the control period is over
+        self.before = ""  # how the episode before ended
 
     def reset(self, env, robots):
         """Another episode begins."""
-        self.episode += 1
         self.step = 0
+
+    def tell(self, trace):
+        """How an episode ended."""
+        self.before = f"episode {self.episode}: {trace.outcome}, reward {trace.rewards[-1]:+.1f}\n"
 
     def act(self, env, observations):
         """The action (1, 2) of the keys that are held until the control period is over. An episode
-        begins when a key is pressed."""
+        begins when an arrow key is pressed anew."""
+        if self.step == 0:
+            self.episode += 1
         self.show(env, observations)
         if self.step == 0:
-            self.cockpit.wait(lambda now: self.cockpit.pressed)
+            self.cockpit.wait_for_release()
+            self.cockpit.wait(lambda now: self.cockpit.pressed & set(STEERING))
             self.due = time.perf_counter()
         self.due = max(self.due, time.perf_counter()) + CONTROL_PERIOD
         action = np.zeros(2)
@@ -169,17 +198,23 @@ class You:
         side = "left" if bearing > 0 else "right"
         left = (MAX_EPISODE_STEPS - self.step) * CONTROL_PERIOD
         keys = f"{left:.0f} s left" if self.step else "press an arrow key to begin"
-        text = (f"episode {self.episode}: target {distance:.2f} m, "
+        before = "" if self.step else self.before
+        text = (f"{before}episode {self.episode}: target {distance:.2f} m, "
                 f"{abs(math.degrees(bearing)):.0f} deg to the {side}\n"
                 f"last reward {observations['last_reward'][0, 0]:+.1f}, {keys}")
         self.cockpit.show(observations["image"][0], text, env.goals[0], env.world.poses[0])
 
 
-def same_tasks(driver, scene, episodes, seed):
-    """The Traces of a driver on the tasks of that seed: nothing else draws from the environment's
-    random numbers, so they are the same for every driver."""
+def same_tasks(driver, scene, episodes, seed, tell=lambda trace: None):
+    """The Traces of a driver on the tasks of that seed. Each has a seed of its own, and so is the
+    same for every driver, whatever a room draws while one drives. tell: is called with each Trace
+    when it ends."""
     env = make_environment("anywhere", [scene], [0])
-    return drive(driver, env, [episodes], seed)
+    traces = []
+    for k in range(episodes):
+        traces += drive(driver, env, [1], MOST_EPISODES * seed + k)
+        tell(traces[-1])
+    return traces
 
 
 def policy_for(scene):
@@ -230,20 +265,21 @@ def table(rows):
 
 
 def add_rows(file, options, traces):
-    """Adds a row for each episode to a CSV file."""
+    """Adds a row for each episode to a CSV file. Raises WriteError."""
     paths = ShortestPaths()
-    is_new = not file.exists()
-    with open(file, "a", newline="", encoding="utf-8") as out:
-        writer = csv.DictWriter(out, COLUMNS)
-        if is_new:
-            writer.writeheader()
-        for k, trace in enumerate(traces):
-            shortest = paths.metres(trace.scene, trace.start, trace.goal)
-            writer.writerow({
-                "name": options.name, "env": options.env, "seed": options.seed, "episode": k,
-                "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
-                "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
-                "spl": round(spl(trace.arrived, shortest, trace.metres), 3)})
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS)
+    if not file.exists():
+        writer.writeheader()
+    for k, trace in enumerate(traces):
+        shortest = paths.metres(trace.scene, trace.start, trace.goal)
+        writer.writerow({
+            "name": options.name, "env": options.env, "seed": options.seed, "episode": k,
+            "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
+            "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
+            "spl": round(spl(trace.arrived, shortest, trace.metres), 3)})
+    before = file.read_bytes() if file.exists() else b""
+    write(file, before + text.getvalue().encode())
 
 
 def main(argv=None):
@@ -258,8 +294,12 @@ def main(argv=None):
         parser.error(error)
     folder = Path(options.out)
     parser.must_write_to(folder)
+    for file in (folder / "drives.csv", folder / "paths.png"):
+        if file.is_dir():
+            parser.error(f"'{file}' is a folder: move it away, or choose another --out")
+    you = You(cockpit)
     try:
-        yours = same_tasks(You(cockpit), scene, options.episodes, options.seed)
+        yours = same_tasks(you, scene, options.episodes, options.seed, you.tell)
     except Closed:
         parser.error("the window was closed: nothing of this drive is kept")
     cockpit.close()
@@ -269,8 +309,11 @@ def main(argv=None):
               for planner in OTHERS]
     print(table([(options.name, yours), (name, its), *others]))
     folder.mkdir(parents=True, exist_ok=True)
-    add_rows(folder / "drives.csv", options, yours)
-    draw_paths(scene, yours, its).savefig(folder / "paths.png", dpi=110)
+    try:
+        add_rows(folder / "drives.csv", options, yours)
+        write(folder / "paths.png", partial(draw_paths(scene, yours, its).savefig, dpi=110))
+    except WriteError as error:
+        sys.exit(f"error: {error}")
     print(f"paths and drives.csv: {folder}")
 
 

@@ -5,21 +5,26 @@ Whoever drove the same room by the same seed drove the same tasks, and so did th
 drawn beside them.
 """
 
+import csv
 import math
+import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import scenes
-from classroom.drive import COLUMNS, policy_for, same_tasks
+from classroom.drive import COLUMNS, LARGEST_SEED, MOST_EPISODES, policy_for, same_tasks
 from evaluation import summarise
+from navbot_min import OUTCOMES
 from sim import SceneError
 from support.command_line import CommandLine, option
-from support.pictures import PALETTE, WIDTH, read_table
+from support.pictures import PALETTE, WIDTH
+from support.run_folder import WriteError, write
 
-LARGEST = 2 ** 63  # so that a number fits where it is used
+NUMBERS = {"seed": (int, LARGEST_SEED), "episode": (int, MOST_EPISODES - 1), "spl": (float, 1)}
 
 
 @dataclass
@@ -37,13 +42,14 @@ def read_drives(parser, folder):
     names = set()
     for file in files:
         try:
-            read = read_table(file)
-        except (OSError, UnicodeDecodeError):
+            with open(file, newline="", encoding="utf-8-sig") as text:  # a name may begin with #
+                read = list(csv.DictReader(text))
+        except (OSError, UnicodeDecodeError, csv.Error):
             parser.error(f"'{file}' cannot be read")
         if not read or set(read[0]) != set(COLUMNS):
             parser.error(f"'{file}' is no table of drives: its columns must be "
                          f"{', '.join(COLUMNS)}, separated by commas")
-        check_numbers(parser, file, read)
+        check_rows(parser, file, read)
         again = names & {row["name"] for row in read}
         if again:
             parser.error(f"'{min(again)}' drives in two files: drive with another --name")
@@ -52,17 +58,22 @@ def read_drives(parser, folder):
     return rows
 
 
-def check_numbers(parser, file, rows):
-    """Ends with a message where a number of a file's rows is none."""
+def check_rows(parser, file, rows):
+    """Ends with a message where a value of a file's rows is none that a drive writes."""
     for line, row in enumerate(rows, 2):  # after the header
-        for column, least in (("seed", 0), ("episode", 0), ("spl", 0)):
+        if None in row or None in row.values():
+            parser.error(f"'{file}', line {line}, must have {len(COLUMNS)} values")
+        if row["outcome"] not in OUTCOMES:
+            parser.error(f"'{file}', line {line}: outcome is {row['outcome']!r}, it must be one of "
+                         f"{', '.join(OUTCOMES)}")
+        for column, (number, largest) in NUMBERS.items():
             try:
-                value = float(row[column]) if column == "spl" else int(row[column])
-            except (TypeError, ValueError):
+                value = number(row[column])
+            except ValueError:
                 value = math.nan
-            if not least <= value < LARGEST:
+            if not 0 <= value <= largest:
                 parser.error(f"'{file}', line {line}: {column} is {row[column]!r}, it must be a "
-                             "number from 0 up")
+                             f"number from 0 to {largest}")
 
 
 def first_tries(rows):
@@ -104,6 +115,7 @@ def draw(drivers, learner, title):
     for axes, k, label in zip(figure.subplots(1, 2, sharey=True), (0, 1), ("arrives [%]", "SPL")):
         axes.barh(names, [drivers[name][k] for name in names], color=PALETTE["run"], height=0.6)
         axes.axvline(learner[k], color=PALETTE["arrival"], lw=2, label="the learner")
+        axes.set_yticks(names, names, parse_math=False)
         axes.set(xlabel=label, xlim=(0, (105, 1.05)[k]))
         axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, loc="lower right")
@@ -130,7 +142,10 @@ def main(argv=None):
     drivers = by_driver(rows)
     figure = draw(drivers, (100 * result["success"], result["spl"]),
                   f"{env}, {len(drivers)} drivers, {episodes} tasks")
-    figure.savefig(Path("drives.png"), dpi=110)
+    try:
+        write("drives.png", partial(figure.savefig, dpi=110))
+    except WriteError as error:
+        sys.exit(f"error: {error}")
     print("drives.png")
 
 

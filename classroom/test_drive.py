@@ -1,6 +1,7 @@
 """Each test is the shortest proof of one claim about driving oneself."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -33,8 +34,14 @@ class Keys:
     def show(self, image, text, goal, pose):
         self.shown.append(text)
 
+    def wait_for_release(self):
+        pass
+
     def wait(self, is_over):
         return self.keys
+
+    def close(self):
+        pass
 
 
 @pytest.mark.parametrize("keys, action", [
@@ -71,6 +78,47 @@ def test_all_drivers_have_the_same_tasks():
     assert len({trace.start.tobytes() for trace in ways[0]}) == 4
 
 
+def test_all_drivers_have_the_same_tasks_where_reality_draws_numbers_all_along():
+    lab = scenes.load("lab")
+    ways = [drive.same_tasks(Planned(planner, 0), lab, 3, seed=7)
+            for planner in ("bug", "straight")]
+    assert len({len(trace.rewards) for way in ways for trace in way}) > 1
+    for one, other in zip(*ways):
+        assert np.array_equal(one.start, other.start) and np.array_equal(one.goal, other.goal)
+
+
+def test_a_whole_drive_is_compared_on_its_tasks_with_the_others_and_kept(tmp_path, monkeypatch,
+                                                                         capsys):
+    class Straight(Keys):
+        """Someone who turns to the target and goes, by what is shown."""
+
+        def wait(self, is_over):
+            bearing = re.search(r"(\d+) deg to the (left|right)", self.shown[-1])
+            return {"up", bearing[2]} if int(bearing[1]) > 5 else {"up"}
+    cockpit = Straight()
+    monkeypatch.setattr(drive, "Cockpit", lambda scene, with_map: cockpit)
+    monkeypatch.setattr(drive, "CONTROL_PERIOD", 0)
+    drive.main(["--episodes", "3", "--seed", "4", "--name", "anna", "--out", str(tmp_path)])
+    said = capsys.readouterr().out
+    rows = read_table(tmp_path / "drives.csv")
+    assert [row["episode"] for row in rows] == ["0", "1", "2"]
+    for row in rows:
+        assert (float(row["shortest"]) > 0.2) and (float(row["spl"]) > 0) == (
+            row["outcome"] == "arrival")
+    begun = [text for text in cockpit.shown if "press an arrow" in text]
+    assert len(begun) == 3 and begun[1].startswith(f"episode 1: {rows[0]['outcome']}, reward ")
+    for planner in drive.OTHERS:  # on the same tasks: those of seed 4
+        arrived = [t.arrived for t in drive.same_tasks(Planned(planner, 0), ENV1, 3, 4)]
+        assert re.search(rf"^{planner} +{np.mean(arrived):.0%}", said, re.MULTILINE)
+    arrived = np.mean([row["outcome"] == "arrival" for row in rows])
+    assert re.search(rf"^anna +{arrived:.0%}", said, re.MULTILINE)
+    (tmp_path / "paths.png").unlink()
+    (tmp_path / "paths.png").mkdir()
+    with pytest.raises(SystemExit) as end:
+        drive.main(["--out", str(tmp_path)])
+    assert end.value.code == 2 and "is a folder" in capsys.readouterr().err
+
+
 def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for file, name, planner, seed in (("class/a", "anna", "oracle", 0),
@@ -93,6 +141,8 @@ def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
     fewer = Path("class/a.csv").read_text().splitlines(keepends=True)
     broken = "".join(fewer).replace("env1,0,2,", "env1,0,x,")
     for file, text in (("other/notes", "a,b\n1,2\n"), ("broken/a", broken),
+                       ("lost/a", "".join(fewer).replace("arrival", "ARRIVED")),
+                       ("half/a", "".join(fewer)[:-12]),
                        ("fewer/a", "".join(fewer[:-1])),
                        ("fewer/b", Path("class/b.csv").read_text())):
         Path(file).parent.mkdir(exist_ok=True)
@@ -100,6 +150,8 @@ def test_drives_of_a_class_are_pooled_by_name(tmp_path, monkeypatch, capsys):
     for folder, words in (("seeds", "only drives of the same tasks"),
                           ("fewer", "'anna' drove 2 tasks, and others 3"),
                           ("broken", "line 4: episode is 'x'"),
+                          ("lost", "line 2: outcome is 'ARRIVED'"),
+                          ("half", "line 4, must have 9 values"),
                           ("twice", "'anna' drives in two files"),
                           ("other", "is no table of drives"), ("none", "there is no CSV file")):
         with pytest.raises(SystemExit) as end:
@@ -129,7 +181,7 @@ def test_drives_in_a_room_of_ones_own_are_pooled_by_what_was_driven(tmp_path, mo
     shutil.copy(ROOT / "scenes" / "env1.toml", "my_room.toml")
     scene = scenes.load("my_room.toml")
     Path("drives").mkdir()
-    drive.add_rows(Path("drives/drives.csv"), drive.Options(env="my_room.toml"),
+    drive.add_rows(Path("drives/drives.csv"), drive.Options(env="my_room.toml", name=r"#$\foo$"),
                    drive.same_tasks(Planned("straight", 0), scene, 1, 0))
     pool.main([])
     assert Path("drives.png").exists()

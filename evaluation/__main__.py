@@ -172,6 +172,9 @@ def read_command_line(argv):
         parser.error("give either a run (a folder or a .pt file) or --planner")
     if options.replay and options.planner:
         parser.error("--replay needs a run: a planner has no network to look into")
+    if options.replay and options.hide:
+        parser.error(f"--hide is {options.hide}, with --replay it must be left out: the "
+                     "page has an episode with the cube hidden")
     if options.hide and options.planner:
         parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
                      "told their target's position")

@@ -27,6 +27,8 @@ PAGE = Path(__file__).with_suffix(".html")
 TRIED = 48  # episodes among which a success and a failure are looked for
 COLUMNS = 16  # images of an episode lie side by side in rows of so many
 COLOURS = 256  # of these images
+LARGEST = 500_000  # [byte] of a sheet; what is larger becomes a JPEG, as noise makes it
+QUALITY = 60  # of that
 
 
 class ThinkingPolicy(Policy):
@@ -45,15 +47,21 @@ class ThinkingPolicy(Policy):
 
 
 def as_sheet(images):
-    """The images (T + 1, H, W, 3) in rows of COLUMNS, as a data URL of a PNG."""
+    """The images (T + 1, H, W, 3) in rows of COLUMNS, as a data URL of a PNG, exactly but for the
+    number of colours; of a JPEG where they are noisy."""
     rows = -(-len(images) // COLUMNS)
     cells = np.zeros((rows * COLUMNS, H, W, 3), np.uint8)
     cells[:len(images)] = images
     sheet = cells.reshape(rows, COLUMNS, H, W, 3).swapaxes(1, 2).reshape(rows * H, COLUMNS * W, 3)
+    picture = Image.fromarray(sheet)
     file = io.BytesIO()
-    Image.fromarray(sheet).quantize(COLOURS, dither=Image.Dither.NONE).save(file, "PNG",
-                                                                          optimize=True)
-    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+    kind = "png"
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
+    if file.tell() > LARGEST:
+        file = io.BytesIO()
+        kind = "jpeg"
+        picture.save(file, "JPEG", quality=QUALITY)
+    return f"data:image/{kind};base64," + base64.b64encode(file.getvalue()).decode()
 
 
 def as_strip(name, values, height):
@@ -70,8 +78,9 @@ def as_episode(name, trace, graph, hidden):
     memory = trace.thoughts["memory"]  # (T, layers, HIDDEN)
     strips = [as_strip("the 32 features that the CNN makes of the image",
                        trace.thoughts["features"], 64)]
-    strips += [as_strip(f"memory: what LSTM {k + 1} of {memory.shape[1]} puts out, 256 units",
-                        memory[:, k], 128) for k in range(memory.shape[1])]
+    if memory.any():  # a network without memory has nothing to show there
+        strips += [as_strip(f"memory: what LSTM {k + 1} of {memory.shape[1]} puts out, 256 units",
+                            memory[:, k], 128) for k in range(memory.shape[1])]
     return {"name": name, "outcome": trace.outcome, "goal": rounded(trace.goal),
             "hidden": hidden in ("cube", "both"), "poses": rounded(trace.poses),
             "shortest": rounded([trace.start[:2], *(way or [])]),
@@ -121,5 +130,5 @@ def make_page(title, model, actions, scene, protocol, seed, environment=None):
         "boxes": [{"corners": rounded(box.corners), "colour": PALETTE[box.material]}
                   for box in scene.boxes],
         "episodes": [as_episode(name, trace, graph, hidden) for name, trace, hidden in shown]}
-    text = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
+    text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     return PAGE.read_text(encoding="utf-8").replace("DATA", text, 1)

@@ -9,12 +9,17 @@ import subprocess
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import scenes
 from evaluation.__main__ import main
 from evaluation.replay import COLUMNS, as_sheet, as_strip, make_page
+from model import REWARD_SCALE
+from navbot_min import NavVecEnv
 from render import H, W
+from sim import MAX_LINEAR_VELOCITY
+from support.pictures import PALETTE
 from support.weights import load_run
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -106,6 +111,51 @@ def test_a_page_shows_a_success_a_failure_and_a_hidden_cube(page):
         assert not (blue and episode["hidden"])
 
 
+def test_what_a_page_shows_is_what_the_policy_did_and_thought(page):
+    """The same episode, driven again step by step by the network itself."""
+    model, [scene, *_] = load_run("pretrained/env1.pt")
+    episode = content_of(page)["episodes"][0]
+    env = NavVecEnv(1, [scene], max_episode_steps=-1)
+    env.reset(seed=0, options={"start": episode["poses"][0], "target": 0})
+    env.goals[:] = episode["goal"]
+    seen = env.observe(np.array([0]), env.world.poses, env.goals, np.zeros((1, 2)), np.zeros(1))
+    memory = model.initial_state(1)
+    strips = [np.frombuffer(base64.b64decode(strip["values"]), np.uint8).reshape(-1, strip["units"])
+              for strip in episode["strips"]]
+    features = []
+    remembered = []
+    for t, command in enumerate(episode["commands"][:12]):
+        mean, _, _, value, memory = model.act(seen, memory, torch.Generator())
+        assert value.item() / REWARD_SCALE == pytest.approx(episode["values"][t], abs=2)
+        features.append(model.see(torch.as_tensor(seen["image"]))[0].detach().numpy())
+        remembered.append(memory[0, :, 0].numpy().copy())
+        action = np.array(command) / (MAX_LINEAR_VELOCITY, 1)
+        assert np.allclose(mean[0].clip(torch.tensor((0.0, -1)), torch.tensor((1.0, 1))), action,
+                           atol=0.05)
+        seen, rewards, *_ = env.step(action[None])
+        assert rewards[0] == pytest.approx(episode["rewards"][t], abs=0.1)
+    for strip, values in zip(strips, (features, *np.swapaxes(remembered, 0, 1))):
+        read = (strip[:12] - 128.0).ravel()
+        assert np.corrcoef(read, np.ravel(values))[0, 1] > 0.98
+
+
+def test_the_colours_of_a_page_are_those_of_the_boxes(page):
+    scene = scenes.load("env1")
+    shown = [box["colour"] for box in content_of(page)["boxes"]]
+    assert shown == [PALETTE[box.material] for box in scene.boxes] and len(set(shown)) == 3
+
+
+def test_a_noisy_room_stays_small_and_a_name_with_a_tag_is_text():
+    rng = np.random.default_rng(0)
+    noisy = rng.integers(0, 256, (201, H, W, 3), dtype=np.uint8) // 4 + 96
+    url = as_sheet(noisy)
+    assert url.startswith("data:image/jpeg") and len(url) < 6e5
+    assert np.abs(frames(url, 201) - noisy.astype(float)).mean() < 25
+    model, [scene, *_] = load_run("pretrained/env1.pt")
+    page = make_page("<!--<script>", model, "mean", scene, "start", seed=0)
+    assert "<!--<script" not in page and content_of(page)["title"] == "<!--<script>"
+
+
 def test_the_shortest_way_leads_from_the_start_to_the_goal(page):
     episode = content_of(page)["episodes"][0]
     way = np.array(episode["shortest"])
@@ -145,10 +195,12 @@ def test_the_command_line_writes_it_and_a_planner_has_none(tmp_path, monkeypatch
     assert "watch it: " in capsys.readouterr().err
     page = (tmp_path / "evaluations" / "env1" / "replay.html").read_text()
     assert content_of(page)["title"] == "env1 in env1, protocol start"
-    with pytest.raises(SystemExit) as end:
-        main(["--planner", "bug", "--replay"])
-    assert end.value.code == 2
-    assert "--replay needs a run" in capsys.readouterr().err
+    for words, said in ((["--planner", "bug"], "--replay needs a run"),
+                        ([str(weights), "--hide", "place"], "--hide is place, with --replay")):
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--replay"])
+        assert end.value.code == 2
+        assert said in capsys.readouterr().err
 
 
 def test_random_rooms_have_a_replay_too():

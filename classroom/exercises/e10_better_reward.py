@@ -37,10 +37,12 @@ def test_each_robot_has_a_number():
 
 def test_arriving_pays_more_than_a_step_and_a_touch_less():
     same = np.array([0.3]), np.array([0.2])
+    away = rewards(np.array([0.2]), np.array([0.3]), np.array([False]), np.array([False]))
     arrives = rewards(*same, np.array([True]), np.array([False]))
     touches = rewards(*same, np.array([False]), np.array([True]))
     drives = rewards(*same, np.array([False]), np.array([False]))
     assert arrives > drives > touches
+    assert drives > away  # or it never learns to come near
 
 
 def learnt(paid, seed):
@@ -50,7 +52,7 @@ def learnt(paid, seed):
     with patch.object(navbot_min, "rewards", paid):
         training = Training(config, [scene], OneProcess())
         train(training)
-    result, _ = evaluate(Policy(training.model, "mean", seed), [scene], EPISODES, "validation")
+    result, _ = evaluate(Policy(training.model, "sampled", seed), [scene], EPISODES, "validation")
     return result["validation"]["success"]
 
 

@@ -26,10 +26,11 @@ def test_a_turn_more_or_less_is_taken_off():
 
 def test_behind_is_pi_from_both_sides():
     assert wrap_angle(-np.pi) == wrap_angle(np.pi) == np.pi
+    assert np.array_equal(wrap_angle(np.array([-np.pi, np.pi])), [np.pi, np.pi])
 
 
 def test_it_is_the_same_direction_however_often_it_turned():
-    angles = np.linspace(-50, 50, 1001)
+    angles = np.linspace(-500, 500, 1001)
     wrapped = wrap_angle(angles)
     assert np.allclose(np.exp(1j * wrapped), np.exp(1j * angles))
     assert np.all(wrapped > -np.pi) and np.all(wrapped <= np.pi)

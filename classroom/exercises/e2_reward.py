@@ -46,6 +46,6 @@ def test_an_end_pays_once_and_arriving_counts_more_than_touching():
 
 
 def test_many_robots_are_paid_at_once():
-    got = rewards(np.array([1.0, 1.0, 1.0]), np.array([0.9, 0.9, 0.9]),
-                  np.array([False, True, False]), np.array([False, False, True]))
-    assert np.allclose(got, [9.95, 100, -50])
+    got = rewards(np.array([1.0, 1.0, 1.0, 2.0]), np.array([0.9, 0.9, 0.9, 1.8]),
+                  np.array([False, True, False, False]), np.array([False, False, True, False]))
+    assert np.allclose(got, [9.95, 100, -50, 19.95])

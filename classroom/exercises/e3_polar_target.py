@@ -30,6 +30,9 @@ def test_the_bearing_is_wrapped():
     distance, bearing = polar_target((0.0, 0.0, 3.0), (-1.0, -0.1))
     assert np.isclose(distance, np.hypot(1.0, 0.1))
     assert np.isclose(bearing, np.arctan2(-0.1, -1.0) - 3.0 + 2 * np.pi)
+    _, bearing = polar_target((0.0, 0.0, -3.0), (-1.0, 0.1))
+    assert np.isclose(bearing, np.arctan2(0.1, -1.0) + 3.0 - 2 * np.pi)
+    assert np.isclose(polar_target((0.0, 0.0, 0.0), (-1.0, 0.0))[1], np.pi)
 
 
 def test_driving_that_way_leads_there():

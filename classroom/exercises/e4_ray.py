@@ -34,6 +34,7 @@ def test_a_wall_at_an_angle_is_met_later():
 def test_what_is_behind_or_beside_is_not_met():
     assert ray_length((0, 0), math.pi, (2, -1), (2, 1)) == math.inf
     assert ray_length((0, 0), 0.0, (2, 1), (2, 3)) == math.inf
+    assert ray_length((0, 0), 0.0, (2, 3), (2, 1)) == math.inf
 
 
 def test_a_wall_along_the_ray_is_not_met():

@@ -40,7 +40,8 @@ def test_the_rate_lies_between_them():
 def test_always_and_never_are_not_certain():
     low, high = wilson(20, 20)
     assert high == pytest.approx(1) and low == pytest.approx(20 / (20 + Z ** 2))
-    assert wilson(0, 20)[0] == pytest.approx(0)
+    low, high = wilson(0, 20)
+    assert low == pytest.approx(0) and high == pytest.approx(Z ** 2 / (20 + Z ** 2))
 
 
 def test_it_holds_the_true_rate_in_95_of_100_experiments():

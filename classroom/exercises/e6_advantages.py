@@ -45,3 +45,9 @@ def test_in_between_it_is_the_sum_of_the_definition():
 
 def test_an_episode_of_one_step():
     assert np.allclose(advantages(np.array([1.0]), np.array([0.4]), 0.0, 0.9, 0.8), [0.6])
+
+
+def test_with_gamma_0_only_the_next_reward_counts_and_nothing_given_is_changed():
+    rewards = REWARDS.copy()
+    assert np.allclose(advantages(rewards, VALUES, 5.0, 0.0, 0.8), REWARDS - VALUES)
+    assert np.array_equal(rewards, REWARDS)

@@ -23,10 +23,10 @@ def policy_loss(log_probs, old_log_probs, A, eps):
 # ------------------------------------------ python -m pytest classroom/exercises/e7_clipped_loss.py
 
 
-def slope(ratio, advantage):
+def slope(ratio, advantage, eps=0.2):
     """How the loss changes with the log-probability of one action."""
     log_prob = torch.tensor([float(ratio)]).log().requires_grad_()
-    policy_loss(log_prob, torch.zeros(1), torch.tensor([float(advantage)]), 0.2).backward()
+    policy_loss(log_prob, torch.zeros(1), torch.tensor([float(advantage)]), eps).backward()
     return log_prob.grad.item()
 
 
@@ -43,6 +43,7 @@ def test_good_actions_become_likelier_and_bad_ones_less_likely():
 
 def test_what_has_gone_far_enough_goes_no_further():
     assert slope(1.3, 2.0) == 0 and slope(0.7, -2.0) == 0
+    assert slope(1.3, 2.0, eps=0.5) == pytest.approx(-2.6)
 
 
 def test_what_has_gone_the_wrong_way_comes_back():

@@ -49,6 +49,13 @@ def test_two_episodes_in_a_row_do_not_know_of_each_other():
     assert (out[3] == 0).all()
 
 
+def test_the_last_step_learns_from_the_first_of_its_episode():
+    cell, x = cell_and_steps(6)
+    x.requires_grad_()
+    run_row(cell, x, torch.tensor([1, 1, 0, 1, 1, 1], dtype=bool))[-1].sum().backward()
+    assert (x.grad[3] != 0).all() and (x.grad[:2] == 0).all()
+
+
 def test_padding_at_the_end_teaches_nothing():
     cell, x = cell_and_steps(6)
     x.requires_grad_()
