@@ -31,7 +31,7 @@ SHORTEST_PERIOD = 0.25  # of a control period, our choice
 SHORTEST_LAG = 1e-9  # [s] so that nothing is divided by 0
 SIMULATION = Reality()
 REALITIES = ("", "random")  # "": as a scene says
-GUESS = {  # the largest errors that are drawn where nothing is known; our choice, and not the lab's
+GUESS = {  # the largest errors that are drawn: our choice, 1.7 to 5 times the lab's
     "exposure": 0.5, "white_balance": 0.2, "light_change": 0.2, "image_noise": 12.0, "blur": 1.0,
     "camera_yaw": math.radians(4), "camera_pitch": math.radians(4), "distance_drift": 0.06,
     "turn_drift": 0.06, "veer": 0.03, "lag": 0.25, "wheel_gains": 0.08, "dead_zone": 0.02,
@@ -248,8 +248,8 @@ class RealEnv(NavEnv):
 
 
 class RandomVecEnv(RealVecEnv):
-    """Reality of which nothing is known: in every episode the knobs are drawn anew, up to GUESS,
-    and one of DRAWN_LOOKS looks."""
+    """Reality of which only the size is guessed: in every episode the knobs are drawn anew, up to
+    GUESS, and one of DRAWN_LOOKS looks."""
 
     changing = (*RealVecEnv.changing, "looks")
 
