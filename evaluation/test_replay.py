@@ -34,6 +34,20 @@ setTimeout(() => {
   slider.dispatchEvent(new Event("input"));
   said.scrubbed = robot.getAttribute("transform");
   said.frame = frame();
+  said.facts = $("facts").innerText;
+  said.lines = Array.from(document.querySelectorAll("#map polyline"), line =>
+    line.getAttribute("points"));
+  said.steps = ["back", "on", "on"].map(id => { $(id).click(); return step; });
+  document.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowLeft"}));
+  said.left = step;
+  const plot = $("rewards"), box = plot.getBoundingClientRect();
+  plot.dispatchEvent(new PointerEvent("pointerdown", {
+    buttons: 1, clientX: box.left + box.width / 4, clientY: box.top + 5}));
+  said.clicked = step;
+  $("episode").value = "1";
+  $("episode").dispatchEvent(new Event("change"));
+  said.second = $("facts").innerText;
+  choose(0);
   document.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"}));
   said.home = step;
   document.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
@@ -69,6 +83,11 @@ def page():
 def content_of(page):
     """The data of a page."""
     return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def points_of(polyline):
+    """The corners (n, 2) of an SVG polyline."""
+    return np.array([[float(number) for number in pair.split(",")] for pair in polyline.split()])
 
 
 def frames(url, count):
@@ -181,6 +200,18 @@ def test_in_a_browser_play_moves_the_robot_and_scrubbing_shows_the_right_image(p
     assert np.allclose(numbers, [x, -y, -np.degrees(theta)], atol=1e-3)
     seen = np.array(said["frame"]).reshape(H, W, 4)[..., :3]
     assert np.array_equal(seen, frames(episode["images"], T + 1)[middle])
+    facts = dict(line.split("\t") for line in said["facts"].splitlines())
+    rewards = np.array(episode["rewards"])
+    assert float(facts["last reward"]) == pytest.approx(rewards[middle - 1], abs=0.06)
+    assert float(facts["rewards so far"]) == pytest.approx(rewards[:middle].sum(), abs=0.06)
+    assert float(facts["value"]) == pytest.approx(episode["values"][middle], abs=0.06)
+    mirrored = [[x, -y] for x, y in episode["shortest"]]
+    assert points_of(said["lines"][0]) == pytest.approx(np.array(mirrored))
+    driven = [[x, -y] for x, y, _ in episode["poses"][:middle + 1]]
+    assert points_of(said["lines"][1]) == pytest.approx(np.array(driven))
+    assert said["steps"] == [middle - 1, middle, middle + 1] and said["left"] == middle
+    assert said["clicked"] == pytest.approx(T / 4, abs=1)
+    assert content_of(page)["episodes"][1]["outcome"] in said["second"]
     assert said["home"] == 0 and said["right"] == 1
     assert said["played"] > 3 and said["moved"] != said["scrubbed"]
     assert said["paused"] == said["still"] >= said["played"]
