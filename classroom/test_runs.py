@@ -15,7 +15,8 @@ def test_they_are_under_five_megabytes_in_all():
 
 
 @pytest.mark.parametrize("name, changed", [
-    ("one", {"random_starts": 0.0, "mirrored": 0.0}), ("anywhere", {}), ("none", {"memory": "none"})])
+    ("one", {"random_starts": 0.0, "mirrored": 0.0}), ("anywhere", {}),
+    ("none", {"memory": "none"})])
 def test_each_is_the_run_of_its_command_in_the_class_page(name, changed):
     config = json.loads((RUNS / name / "config.json").read_text())
     lesson = {"random_starts": 0.7, "mirrored": 0.5, "memory": "stacked", "steps": 250_000,

@@ -45,7 +45,8 @@ def knobs(rows):
     for row in rows:
         success.setdefault(row["knob"], []).append(100 * float(row["success"]))
     ends = ("none", "all")
-    between = sorted(set(success) - set(ends), key=lambda knob: np.mean(success[knob]))
+    between = [knob for knob in success if knob not in ends]
+    between.sort(key=lambda knob: np.mean(success[knob]))
     table = []
     for knob in ("none", *between, "all"):
         value = "" if knob in ends else worded(knob, getattr(lab, knob))

@@ -654,7 +654,7 @@ PROGRAM = re.compile(r"(?:python3?|py|torchrun) (?:[^`]*? )?(?:-m ([\w.]+)|([\w/
 FILE_NAME = re.compile(r"[\w./-]+\.(?:py|toml|csv|json|png|gif|txt|md|pt|cff)")
 MADE = re.compile(  # by the commands, in a run folder or in the working folder
     r"(config|summary|evaluation|episodes|updates|model|checkpoint|curves|trajectories|episode"
-    r"|floor|demo|benchmark)(-[\w-]+)?\.(json|csv|pt|png|gif)")
+    r"|floor|demo|drives|benchmark)(-[\w-]+)?\.(json|csv|pt|png|gif)")
 THE_READERS_OWN = {"my_room.toml"}
 OUTSIDE = {"pytest", "pip", "venv"}  # programs of others
 
