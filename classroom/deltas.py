@@ -7,6 +7,7 @@ pictures/delta-*.png. A run that is there already is not trained again.
 
 import csv
 import io
+import sys
 from functools import partial
 from pathlib import Path
 from unittest.mock import patch
@@ -23,7 +24,7 @@ from support.command_line import CommandLine
 from support.interruption import interruption
 from support.pictures import PALETTE, WIDTH, read_table
 from support.processes import OneProcess
-from support.run_folder import write
+from support.run_folder import WriteError, write
 from train import Config, Training
 
 PICTURES = Path(__file__).parent.parent / "pictures"
@@ -102,13 +103,9 @@ def draw(rows, name):
     return figure
 
 
-def main(argv=None):
-    """The command line."""
-    parser = CommandLine("Train what differs from the lesson by a line or two, and draw it.")
-    parser.parse(argv)
-    for folder in (RESULT.parent, PICTURES):
-        parser.must_write_to(folder)
-    interruption.handle("interrupted: the runs that are finished are kept")
+def learn_what_is_missing():
+    """Trains the runs that are not in RESULT, and writes each into it when it is finished. Raises
+    WriteError."""
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["delta"], row["seed"]) for row in rows}
     for name in DELTAS:
@@ -121,10 +118,23 @@ def main(argv=None):
             writer.writeheader()
             writer.writerows(rows)
             write(RESULT, text.getvalue().encode())
-    rows = read_table(RESULT)
-    for name in COMPARED:
-        write(PICTURES / f"delta-{name}.png", partial(draw(rows, name).savefig, dpi=110))
-        print(f"pictures/delta-{name}.png")
+
+
+def main(argv=None):
+    """The command line."""
+    parser = CommandLine("Train what differs from the lesson by a line or two, and draw it.")
+    parser.parse(argv)
+    for folder in (RESULT.parent, PICTURES):
+        parser.must_write_to(folder)
+    interruption.handle("interrupted: the runs that are finished are kept")
+    try:
+        learn_what_is_missing()
+        rows = read_table(RESULT)
+        for name in COMPARED:
+            write(PICTURES / f"delta-{name}.png", partial(draw(rows, name).savefig, dpi=110))
+            print(f"pictures/delta-{name}.png")
+    except WriteError as error:
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":
