@@ -5,8 +5,6 @@ paper's two training targets and from any start, and draws success against steps
 pictures/delta-*.png. A run that is there already is not trained again.
 """
 
-import csv
-import io
 import sys
 from functools import partial
 from pathlib import Path
@@ -24,7 +22,7 @@ from support.command_line import CommandLine
 from support.interruption import interruption
 from support.pictures import PALETTE, WIDTH, read_table
 from support.processes import OneProcess
-from support.run_folder import WriteError, write
+from support.run_folder import WriteError, csv_text, write
 from train import Config, Training
 
 PICTURES = Path(__file__).parent.parent / "pictures"
@@ -113,11 +111,7 @@ def learn_what_is_missing():
             if (name, str(seed)) in made:
                 continue
             rows += learn(name, seed)
-            text = io.StringIO(newline="")
-            writer = csv.DictWriter(text, rows[0])
-            writer.writeheader()
-            writer.writerows(rows)
-            write(RESULT, text.getvalue().encode())
+            write(RESULT, csv_text([rows[0], *(row.values() for row in rows)]).encode())
 
 
 def main(argv=None):

@@ -6,8 +6,6 @@ policy does. Afterwards your paths are drawn over the map beside the policy's, a
 stands in a table with the planners' and the learner's, on the same tasks.
 """
 
-import csv
-import io
 import math
 import sys
 import time
@@ -28,7 +26,7 @@ from support.command_line import CommandLine, option
 from support.interruption import interruption
 from support.pictures import (MARKERS, PALETTE, WIDTH, draw_robot, draw_room, draw_target,
                               start_handle)
-from support.run_folder import WriteError, write
+from support.run_folder import WriteError, csv_text, write
 from support.traces import drive
 from support.weights import load_run
 
@@ -267,19 +265,16 @@ def table(rows):
 def add_rows(file, options, traces):
     """Adds a row for each episode to a CSV file. Raises WriteError."""
     paths = ShortestPaths()
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS)
-    if not file.exists():
-        writer.writeheader()
+    before = file.read_bytes() if file.exists() else csv_text([COLUMNS]).encode()
+    rows = []
     for k, trace in enumerate(traces):
         shortest = paths.metres(trace.scene, trace.start, trace.goal)
-        writer.writerow({
-            "name": options.name, "env": options.env, "seed": options.seed, "episode": k,
-            "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
-            "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
-            "spl": round(spl(trace.arrived, shortest, trace.metres), 3)})
-    before = file.read_bytes() if file.exists() else b""
-    write(file, before + text.getvalue().encode())
+        row = {"name": options.name, "env": options.env, "seed": options.seed, "episode": k,
+               "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
+               "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
+               "spl": round(spl(trace.arrived, shortest, trace.metres), 3)}
+        rows.append([row[column] for column in COLUMNS])
+    write(file, before + csv_text(rows).encode())
 
 
 def main(argv=None):

@@ -22,10 +22,10 @@ def run_row(cell, x, mask):
 # ------------------------------------------------ python -m pytest classroom/exercises/e8_memory.py
 
 
-def cell_and_steps(T):
+def cell_and_steps(T, hidden=4):
     """A cell with random weights, and T inputs for it."""
     torch.manual_seed(0)
-    return nn.LSTMCell(3, 4), torch.randn(T, 3)
+    return nn.LSTMCell(3, hidden), torch.randn(T, 3)
 
 
 def alone(cell, x):
@@ -50,10 +50,11 @@ def test_two_episodes_in_a_row_do_not_know_of_each_other():
 
 
 def test_the_last_step_learns_from_the_first_of_its_episode():
-    cell, x = cell_and_steps(6)
+    cell, x = cell_and_steps(6, hidden=5)
     x.requires_grad_()
     run_row(cell, x, torch.tensor([1, 1, 0, 1, 1, 1], dtype=bool))[-1].sum().backward()
     assert (x.grad[3] != 0).all() and (x.grad[:2] == 0).all()
+    assert (cell.weight_hh.grad != 0).any()
 
 
 def test_padding_at_the_end_teaches_nothing():
