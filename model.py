@@ -3,8 +3,8 @@
 It maps what the robot has seen so far to a distribution over actions, Eq. (1), in the action units
 of the task: linear velocity in [0, 1], angular in [-1, 1].
 
-Axis letters: M rows of sequences, T steps, B real steps (those that are no padding), H = 48 and
-W = 64 image rows and columns. While robots drive, T = 1 and M is their number.
+Axis letters: M sequences, T steps, B real steps (those that are not padding), H = 48 and W = 64
+image rows and columns. While robots drive, T = 1 and M is their number.
 """
 
 import torch
@@ -17,13 +17,11 @@ HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 TARGET = 2  # distance and bearing
 LAST = 3  # a_{t-1}: last velocity (2) and last reward (1), paper III-B
-IMAGES = 16  # their number is rounded up to a multiple by repeating some: torch's convolutions keep
-#   memory for each number that they have ever seen
+IMAGES = 16  # their number is rounded up to a multiple: torch keeps memory for each number
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
 MAX_COMMAND = (0.3, 1.0)  # [m/s, rad/s] paper III-C
-SHUT = -1e4  # a gate's input at which the gate is 0 whatever else comes in
 INITIAL_STD = (0.25, 0.5)  # a quarter of the linear and half of the angular maximum, our choice
 RELU_GAIN = 2 ** 0.5  # of orthogonal weights before a ReLU
 
@@ -41,9 +39,8 @@ def orthogonal(layer, gain=1.0):
 def make_cnn():
     """The CNN of Fig. 2: (B, 3, H, W) colours -> (B, FEATURES).
 
-    Kernels are (height, width), padding makes the sizes those of Fig. 2. The second and the third
-    convolution need one row of padding; torch pads both sides, and the stride never gets to the
-    lower one.
+    Kernels are (height, width). The second and the third convolution need one row of padding; torch
+    pads both sides, and the stride never gets to the lower one.
     """
     cnn = nn.Sequential(
         orthogonal(nn.Conv2d(3, 32, (6, 8), stride=4, padding=(1, 2)), RELU_GAIN),  # (32, 12, 16)
@@ -60,57 +57,33 @@ def make_cnn():
 
 
 class Memory(nn.Module):
-    """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything.
-
-    The LSTM has one input more, which is 1 at the steps that part two episodes. It shuts all gates:
-    the memory is zero after such a step. So episodes can lie end to end in one row, and none knows
-    of the one before it. No gradient passes a shut gate, so the weights that shut it never change.
-    torch's packed sequences cost 1.0 to 2.2 times as much a minibatch, and plain padding 1.0 to 1.8
-    times (docs/code.md).
-    """
+    """One LSTM, or for `--memory none` a dense layer in its place, which forgets everything."""
 
     def __init__(self, inputs, recurrent):
         super().__init__()
         self.recurrent = recurrent
-        if recurrent:
-            self.layer = orthogonal(nn.LSTM(inputs + 1, HIDDEN))
-            # Rows of the weights, torch's order: input gate, forget gate, candidate, output gate.
-            clearing = self.layer.weight_ih_l0.detach()[:, -1].view(4, HIDDEN)
-            clearing[:] = torch.tensor([SHUT, SHUT, 0, SHUT])[:, None]
-        else:
-            self.layer = orthogonal(nn.Linear(inputs, HIDDEN))
+        self.layer = orthogonal(nn.LSTM(inputs, HIDDEN) if recurrent else nn.Linear(inputs, HIDDEN))
 
-    def forward(self, x, state, mask):
-        """x (M, T, inputs), state (M, 2, HIDDEN), mask (M, T) bool, false at steps that are no
-        steps of an episode -> (M, T, HIDDEN), state."""
+    def forward(self, x, state):
+        """x (M, T, inputs), state (M, 2, HIDDEN) -> (M, T, HIDDEN), state after the last step."""
         if not self.recurrent:
             return torch.relu(self.layer(x)), state
-        clear = ~mask[..., None]
-        x = torch.cat([x, clear], -1).transpose(0, 1)  # (T, M, inputs + 1)
-        h, c = state.unbind(1)  # (M, HIDDEN) each
-        if len(x) == 1:  # a step on the road: torch's LSTM would lay out its weights anew for it
-            h, c = torch.lstm_cell(x[0], (h, c), *self.layer.all_weights[0])
-            return h[:, None], torch.stack([h, c], 1)
-        y, (h, c) = self.layer(x.contiguous(), (h[None].contiguous(), c[None].contiguous()))
+        h, c = state.transpose(0, 1).contiguous()  # (M, HIDDEN) each
+        y, (h, c) = self.layer(x.transpose(0, 1), (h[None], c[None]))
         return y.transpose(0, 1), torch.cat([h, c]).transpose(0, 1)
 
 
 class Network(nn.Module):
     """Policy and value. `memory` is the paper's stacked LSTM or one of its ablations: in `single`
     all inputs go into one LSTM, `none` is `stacked` with dense layers instead of LSTMs."""
-
-    def __init__(self, memory="stacked", without="", command_scale=MAX_COMMAND):
-        """without: an input that is blanked, "image", "target" (where it is; the camera still shows
-        it) or "last" (last velocity and reward).
-        command_scale: maximum linear [m/s] and angular [rad/s] velocity.
+    def __init__(self, memory="stacked", without="", command_scale=None):
+        """without: an input that is blanked, "image", "target" (its position; the camera still
+        shows it) or "last" (last velocity and reward).
+        command_scale: maximum linear [m/s] and angular [rad/s] velocity, by default MAX_COMMAND.
         Weights are drawn from torch's global generator; `make_network` draws them from a seed.
-        Raises ValueError.
         """
         super().__init__()
-        if memory not in MEMORIES:
-            raise ValueError(f"memory is {memory!r}, it must be one of {', '.join(MEMORIES)}")
-        if without not in BLANKS:
-            raise ValueError(f"without is {without!r}, it must be one of {', '.join(BLANKS[1:])}")
+        assert memory in MEMORIES and without in BLANKS
         self.memory = memory
         self.without = without
         recurrent = memory != "none"
@@ -124,7 +97,7 @@ class Network(nn.Module):
         self.action = orthogonal(nn.Linear(HIDDEN, 2), 0.01)  # small: it starts undecided
         self.value = orthogonal(nn.Linear(HIDDEN, 1))
         self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
-        self.register_buffer("command_scale", torch.tensor(command_scale))
+        self.register_buffer("command_scale", torch.tensor(command_scale or MAX_COMMAND))
 
     def initial_state(self, M):
         """The memory (M, layers, 2, HIDDEN) before an episode's first step: zeros."""
@@ -146,17 +119,17 @@ class Network(nn.Module):
         colours = images.permute(0, 3, 1, 2).float()  # (B, 3, H, W); channels stay last in memory
         return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))[:B]
 
-    def remember(self, features, target, last, state, mask):
-        """Fig. 1: features (M, T, FEATURES), target (M, T, 2), last velocity and reward (M, T, 3),
-        memory and mask -> (M, T, HIDDEN), memory."""
+    def remember(self, features, target, last, state):
+        """Fig. 1: features (M, T, FEATURES), target (M, T, 2), last velocity and reward (M, T, 3)
+        and memory -> (M, T, HIDDEN), memory."""
         x = torch.cat([features, target], -1)  # (M, T, FEATURES + TARGET)
         if self.memory == "single":
             x = torch.cat([x, last], -1)
-            x, after = self.memories[0](x, state[:, 0], mask)
+            x, after = self.memories[0](x, state[:, 0])
             return x, after[:, None]
-        x, after_first = self.memories[0](x, state[:, 0], mask)  # (M, T, HIDDEN)
+        x, after_first = self.memories[0](x, state[:, 0])  # (M, T, HIDDEN)
         x = torch.cat([x, last], -1)  # (M, T, HIDDEN + LAST)
-        x, after_second = self.memories[1](x, state[:, 1], mask)  # (M, T, HIDDEN)
+        x, after_second = self.memories[1](x, state[:, 1])  # (M, T, HIDDEN)
         return x, torch.stack([after_first, after_second], 1)
 
     def policy(self, x):
@@ -170,10 +143,9 @@ class Network(nn.Module):
         (M, T), memory after them, Eq. (1).
 
         observations: `target` (M, T, 2), `velocity` (M, T, 2), `last_reward` (M, T, 1), and `image`
-        (M, T, H, W, 3), or with a mask (B, H, W, 3), those of the real steps alone. Without a mask
-        all steps are real.
+        (M, T, H, W, 3), or with a mask (B, H, W, 3): only the images of the real steps.
         state: (M, layers, 2, HIDDEN).
-        mask: (M, T) bool, false where a step is no step of an episode; it clears the memory.
+        mask: (M, T) bool, False at padding, which follows a sequence's last step.
         """
         target = observations["target"]
         images = observations["image"]
@@ -181,13 +153,13 @@ class Network(nn.Module):
             mask = torch.ones_like(target[..., 0], dtype=torch.bool)
             images = images.flatten(0, 1)  # (B, H, W, 3)
         features = target.new_zeros(*mask.shape, FEATURES)  # (M, T, FEATURES)
-        features[mask] = self.see(images)  # convolutions are done for real steps alone
+        features[mask] = self.see(images)  # no convolutions of padding
         target = target * (0 if self.without == "target" else TARGET_SCALE)
         last = torch.cat([observations["velocity"] / self.command_scale,
                           observations["last_reward"] * REWARD_SCALE], -1)  # (M, T, LAST)
         if self.without == "last":
             last = last * 0
-        x, state = self.remember(features, target, last, state, mask)  # (M, T, HIDDEN)
+        x, state = self.remember(features, target, last, state)  # (M, T, HIDDEN)
         x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
         return self.policy(x), self.value(x)[..., 0], state
 
@@ -211,8 +183,8 @@ class Network(nn.Module):
         return mean, actions, log_probs, values[:, 0].cpu(), state
 
 
-def make_network(seed, memory="stacked", without=""):
-    """A Network with weights drawn from that seed. torch's global generator stays as it was."""
+def make_network(seed, memory="stacked", without="", command_scale=None):
+    """Returns a Network with weights drawn from a seed. torch's global generator is not changed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return Network(memory, without)
+        return Network(memory, without, command_scale)

@@ -1,30 +1,24 @@
 """The learner: PPO on whole episodes (Schulman et al. 2017; paper Eq. (2), (3), Algorithm 1).
 
-The letters are those of the formulas and of the code alike: r ratio, A advantage, gamma discount,
-lam (lambda) of GAE, eps clip range. Axis letters: R robots, T steps of an episode, M rows of a
-minibatch, B its real steps, N episodes of an update, K epochs.
+The formulas and the code share their letters: r ratio, A advantage, gamma discount, lam (lambda) of
+GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes of a minibatch, B its
+real steps (those that are not padding), N episodes of an update, K epochs.
 
-There is no entropy bonus: the policy's standard deviation is a parameter of its own, which starts
-large and shrinks as fast as that pays. Towards the end of a run `train.py` limits it.
+There is no entropy bonus: the policy's standard deviation is a parameter, which starts large,
+shrinks as the policy learns, and is limited towards the end of a run.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn.functional import mse_loss
 from torch.nn.utils.rnn import pad_sequence
 
 VALUE_WEIGHT = 0.5  # of the value loss beside the policy loss, our choice
 MAX_GRADIENT_NORM = 0.5  # longer gradients are scaled down to it, our choice
 STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction")
-
-
-def check_finite(name, *numbers):
-    """Raises FloatingPointError, with that name, unless these tensors hold finite numbers alone."""
-    for tensor in numbers:
-        if not torch.isfinite(tensor).all():
-            raise FloatingPointError(name)
 
 
 @dataclass
@@ -42,11 +36,8 @@ class Episode:
 
 
 class Collector:
-    """Drives R robots with the policy as it is at each step, and hands out whole episodes.
-
-    Robots never wait for each other. An episode under way while the policy is updated goes on, with
-    the log-probabilities that its actions had when they were taken.
-    """
+    """Drives R robots with the policy as it is at each step, and hands out whole episodes. Robots
+    never wait for each other: an episode under way during an update goes on after it."""
 
     def __init__(self, env, model, reward_scale, env_seed, action_seed):
         """env: a Gymnasium VectorEnv with same-step autoreset and dict observations; it gets the
@@ -61,13 +52,11 @@ class Collector:
         self._history = []  # the last steps of all robots, name -> (R, ...) each
 
     def step(self):
-        """One step of all robots. Returns the episodes that it ended, [(Episode, info), ...], where
-        info holds the environment's `final_info` of that robot."""
+        """Makes one step of all robots. Returns the episodes that it ended, [(Episode, info), ...]:
+        info holds the robot's index and the environment's `final_info` of it."""
         seen = self._observations
-        action = self.model.act(seen, self._memory, self.generator)
-        _, actions, log_probs, values, self._memory = action
-        numbers = [value for name, value in seen.items() if name != "image"]  # whose are whole
-        check_finite("an observation or an action", actions, *map(torch.as_tensor, numbers))
+        _, actions, log_probs, values, self._memory = self.model.act(seen, self._memory,
+                                                                     self.generator)
         self._observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
         scaled = (rewards * self.reward_scale).astype(np.float32)
         self._history.append(seen | {"actions": actions.numpy(), "log_probs": log_probs.numpy(),
@@ -77,6 +66,7 @@ class Collector:
         ended = []
         for r in np.flatnonzero(terminated | truncated):
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
+            info["robot"] = int(r)
             ended.append((self._take_episode(r, last_values[r]), info))
             self._memory[r] = 0  # memory is cleared at terminated and truncated alike
         self._history = self._history[len(self._history) - self._length.max():]
@@ -102,22 +92,6 @@ class Collector:
             values[robots] = last_values.numpy()
         return values
 
-    def state(self):
-        """All that changes while robots drive, the environment's state included."""
-        return {"env": self.env.state(), "generator": self.generator.get_state(),
-                "observations": {key: value.copy() for key, value in self._observations.items()},
-                "memory": self._memory.clone(), "length": self._length.copy(),
-                "history": list(self._history)}  # what a step holds never changes
-
-    def load_state(self, state):
-        """Goes on from a state of a collector that was made in the same way."""
-        self.env.load_state(state["env"])
-        self.generator.set_state(state["generator"])
-        self._observations = dict(state["observations"])
-        self._memory = state["memory"].to(self._memory.device, copy=True)
-        self._length = state["length"].copy()
-        self._history = list(state["history"])
-
 
 def advantages(rewards, values, last_value, gamma, lam):
     """Generalised advantage estimation (Schulman et al. 2016) over one episode:
@@ -134,54 +108,29 @@ def advantages(rewards, values, last_value, gamma, lam):
     return np.array(A, np.float32)
 
 
-def pack_rows(lengths):
-    """Rows of a minibatch: lists of episodes, as indices into `lengths`, that lie end to end, and a
-    step after each that parts it from the next, in rows as long as the longest one.
-
-    The longest first, each into the first row that has room. So about a fifth of the steps is
-    padding, where an episode a row would have two fifths (docs/code.md).
-    """
-    rows = []
-    free = []  # steps that are left in each row
-    for k in np.argsort(lengths)[::-1]:
-        row = next((row for row, room in enumerate(free) if room > lengths[k]), len(rows))
-        if row == len(rows):  # it fits nowhere
-            rows.append([])
-            free.append(max(lengths) + 1)
-        rows[row].append(k)
-        free[row] -= lengths[k] + 1
-    return rows
-
-
 def make_minibatch(episodes, batch_advantages, device=None):
-    """Episodes and their advantages packed in M rows of T steps: a dict of (M, T, ...) on the
-    device, zeros between episodes. `mask` is which steps are real. Images have no zeros between
-    them, (B, H, W, 3), in the order of the real steps."""
-    rows = pack_rows([len(episode) for episode in episodes])
+    """Pads M episodes and their advantages to the longest, T steps: returns a dict of (M, T, ...)
+    tensors. `mask` (M, T) is True at real steps. Images are not padded: (B, H, W, 3)."""
+    def pad(sequences):
+        return pad_sequence([torch.as_tensor(s) for s in sequences], batch_first=True).to(device)
 
-    def pack(sequences):
-        """(M, T, ...) from a (length, ...) array for each episode."""
-        parted = [np.concatenate([steps, np.zeros_like(steps[:1])]) for steps in sequences]
-        packed = [torch.as_tensor(np.concatenate([parted[k] for k in row])) for row in rows]
-        return pad_sequence(packed, batch_first=True).to(device)
-
-    observations = {key: pack([episode.observations[key] for episode in episodes])
+    observations = {key: pad([episode.observations[key] for episode in episodes])
                     for key in episodes[0].observations if key != "image"}
-    images = [episodes[k].observations["image"] for row in rows for k in row]
-    observations["image"] = torch.as_tensor(np.concatenate(images)).to(device)
+    images = np.concatenate([episode.observations["image"] for episode in episodes])
+    observations["image"] = torch.as_tensor(images).to(device)
     return {"observations": observations,
-            "actions": pack([episode.actions for episode in episodes]),
-            "log_probs": pack([episode.log_probs for episode in episodes]),
-            "advantages": pack(batch_advantages),
-            # What the values should have foretold: a return is A + V, by the definition of A.
-            "returns": pack([A + e.values for A, e in zip(batch_advantages, episodes)]),
-            "mask": pack([np.ones(len(e), bool) for e in episodes])}
+            "actions": pad([episode.actions for episode in episodes]),
+            "log_probs": pad([episode.log_probs for episode in episodes]),
+            "advantages": pad(batch_advantages),
+            # The values' targets are returns: A + V, by the definition of A.
+            "returns": pad([A + e.values for A, e in zip(batch_advantages, episodes)]),
+            "mask": pad([np.ones(len(e), bool) for e in episodes])}
 
 
 def losses(model, batch, eps):
     """The clipped policy loss, Eq. (3), and the value loss of a minibatch, and its STATISTICS.
 
-    Every mean is over the real steps alone.
+    Every mean is over the real steps.
     """
     mask = batch["mask"]
     memory = model.initial_state(len(mask))
@@ -201,44 +150,54 @@ def losses(model, batch, eps):
     return policy_loss, value_loss, statistics
 
 
-def gradient(model, batch, eps):
-    """The gradient of a minibatch's loss, one vector of all weights, and its STATISTICS."""
-    policy_loss, value_loss, statistics = losses(model, batch, eps)
-    loss = policy_loss + VALUE_WEIGHT * value_loss
-    gradients = torch.autograd.grad(loss, list(model.parameters()), materialize_grads=True)
-    return torch.cat([one.flatten() for one in gradients]), statistics
+def mean_and_std(numbers, total):
+    """Returns mean and standard deviation of all processes' numbers, (n,) in this one."""
+    sums = torch.tensor([len(numbers), numbers.sum(), (numbers.astype(float) ** 2).sum()])
+    count, first, second = total(sums.double()).tolist()
+    mean = first / count
+    return mean, max(second / count - mean ** 2, 0) ** 0.5
 
 
-def update(model, optimizer, learning_rate, episodes, config, rng, processes):
-    """K epochs of minibatches of whole episodes, Algorithm 1. Returns the statistics' means.
+@torch.no_grad()
+def average_gradient(model, statistics, steps, total):
+    """Replaces the gradient by its mean over the steps of all processes; returns the same mean of
+    the statistics. steps: how many this process has."""
+    gradients = [parameter.grad for parameter in model.parameters()]
+    parts = [torch.ones(1, device=steps.device), statistics, *gradients]
+    sums = total(torch.cat([part.flatten() for part in parts]).mul_(steps))
+    means = sums.div_(sums[0].item()).split([part.numel() for part in parts])
+    for gradient, mean in zip(gradients, means[2:]):
+        gradient.copy_(mean.view_as(gradient))
+    return means[1]
+
+
+def update(model, optimizer, episodes, config, rng, total=lambda tensor: tensor):
+    """Learns from episodes: K epochs of minibatches of whole episodes, Algorithm 1. Returns the
+    means of the statistics. Raises FloatingPointError for a gradient that is not finite.
 
     config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
-    processes: those that share the work (support/processes.py); one alone does all of it.
+    total: sums a tensor over all processes that learn together, each from its own episodes.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
-    errors = np.concatenate(A)  # of the values, in foretelling the returns
-    lengths = np.array([len(episode) for episode in episodes])
+    errors = np.concatenate(A)  # an advantage is the value's prediction error
+    returns = errors + np.concatenate([episode.values for episode in episodes])
+    mean, std = mean_and_std(errors, total)
+    _, returns_std = mean_and_std(returns, total)
     history = []
     for _ in range(config.epochs):
         for chosen in np.array_split(rng.permutation(len(episodes)), config.minibatches):
-            mine = processes.share(chosen, lengths)  # alone: all of them
-            batch = make_minibatch([episodes[k] for k in mine], [A[k] for k in mine],
+            batch = make_minibatch([episodes[k] for k in chosen], [A[k] for k in chosen],
                                    model.log_std.device)
-            # Padding too, which is not used.
-            batch["advantages"] = (batch["advantages"] - errors.mean()) / (errors.std() + 1e-8)
-            slope, statistics = gradient(model, batch, config.clip)
-            weight = lengths[mine].sum() / lengths[chosen].sum()
-            slope, statistics = processes.average(slope, statistics, weight)  # alone: the same
-            check_finite("the loss", statistics)
-            check_finite("the gradient", slope)
-            norm = slope.norm().item()
-            if norm > MAX_GRADIENT_NORM:
-                slope *= MAX_GRADIENT_NORM / norm
-            optimizer.step(slope, learning_rate)
-            history.append(statistics)
-    check_finite("a weight", *model.parameters())
+            batch["advantages"] = (batch["advantages"] - mean) / (std + 1e-8)
+            policy_loss, value_loss, statistics = losses(model, batch, config.clip)
+            optimizer.zero_grad()
+            (policy_loss + VALUE_WEIGHT * value_loss).backward()
+            history.append(average_gradient(model, statistics, batch["mask"].sum(), total))
+            norm = nn.utils.clip_grad_norm_(model.parameters(), MAX_GRADIENT_NORM)
+            if not norm.isfinite():
+                raise FloatingPointError("the gradient is not finite")
+            optimizer.step()
     statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
-    # 1 where the values foretold the returns, 0 where they knew nothing of them.
-    returns = errors + np.concatenate([episode.values for episode in episodes])
-    statistics["explained_variance"] = float(1 - errors.var() / max(returns.var(), 1e-12))
+    # 1 if the values predict the returns, 0 if they know nothing of them.
+    statistics["explained_variance"] = 1 - std ** 2 / max(returns_std ** 2, 1e-12)
     return statistics

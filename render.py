@@ -1,12 +1,11 @@
 """The camera: a numpy raycaster that paints what the robots see.
 
 The world is 2.5-D: upright boxes on a flat floor, all higher than the camera, and one low target
-cube. So an image is made of columns. The ray of a column meets the room in the plane, seen from
-above, and what it meets is painted between the rows where its foot and its top appear.
+cube. So an image is made of columns. The ray of a column meets the room in the plane, and what it
+meets is painted between the rows of its foot and its top. docs/code.md draws the derivations.
 
 The camera looks along its x axis, y is to the left. The ray of a column goes through the points
-(z, s z), where z is the depth [m] and s the column's slope (`SLOPE`). The derivations are drawn in
-docs/code.md.
+(z, s z): z is the depth [m] and s the column's slope (`SLOPE`).
 
 Points of the plane are complex numbers, x + iy [m]: a product with exp(i angle) turns them. Axis
 letters: R robots, B boxes, F faces in view, K faces in one image, W = 64 columns, H = 48 rows,
@@ -18,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim import CAMERA_HEIGHT
-from support.textures import ABOVE, PERIOD, TEXEL, texture
+from support.textures import BLUE, FLOOR, PERIOD, SKY, TEXEL, light, texture
 
 H, W = 48, 64  # [px] paper III-C
 FOCAL = W / 2 / np.tan(np.radians(60) / 2)  # [px] 60 degrees across, square pixels, released model
@@ -26,28 +25,21 @@ CAMERA_OFFSET = -0.118  # [m] the camera's place ahead of the robot's centre, re
 NEAR = 0.05  # [m] nothing nearer is seen, released model
 FAR = 8.0  # [m] nor farther, released model
 CUBE_SIZE = 0.2  # [m] the target, released model
-
-SUN = np.array((0.5, -0.1, 0.9)) / np.linalg.norm((0.5, -0.1, 0.9))  # towards it, released world
-FLOOR = (118, 118, 118)  # colours, our choice
-SKY = (178, 178, 178)  # 0.7 of white, released world
-BLUE = (20, 20, 235)
 BLOCK = 64  # images that are painted at once, few enough to stay in the cache
 
-# A texture column is what one column of the camera can show of a wall: floor before the wall's
-# foot, the wall, sky over its top. At FAR the lowest and the highest ray are 8 m x 0.42 = 3.4 m, or
-# 136 texels, from the height of the eye, which is 11 texels above the foot. So 125 texels below the
-# foot and 147 above it are all that can be seen, and with more of them no lookup needs clipping.
-BELOW = 128
+
+# A texture column is what one column of the camera can show of a wall: floor below the wall's foot,
+# the wall, sky above its top. It reaches as far as the steepest ray falls or rises until FAR, so no
+# lookup needs clipping: 125 texels below the foot, 147 above it, rounded up so that bricks fit.
+EYE = CAMERA_HEIGHT / TEXEL  # [texel] height of the camera
+STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] that a ray falls or rises until FAR
+BELOW = 32 * int(np.ceil((STEEPEST - EYE) / 32))
+ABOVE = 32 * int(np.ceil((STEEPEST + EYE) / 32))
 COLUMN = BELOW + ABOVE
 
 SLOPE = ((W / 2 - 0.5 - np.arange(W)) / FOCAL).astype(np.float32)  # (W,) of a column's ray
 DROP = ((np.arange(H) + 0.5 - H / 2) / FOCAL).astype(np.float32)  # (H,) fall of a row's ray per m
-EYE_TEXEL = np.float32(BELOW + CAMERA_HEIGHT / TEXEL)  # the camera's height in a texture column
-
-
-def light(normal):
-    """Brightness of a face with that (..., 3) outward normal: ambient light and Lambert's law."""
-    return 0.5 + 0.5 * np.clip(2 * (np.asarray(normal) @ SUN), 0, 1)
+EYE_TEXEL = np.float32(BELOW + EYE)  # the camera's height in a texture column
 
 
 def slab(offset, way):
@@ -85,7 +77,10 @@ class Camera:
     floor = FLOOR
     sky = SKY
     light = staticmethod(light)
-    texture = staticmethod(texture)
+
+    def texture(self, material):
+        """Returns the (PERIOD, ABOVE, 3) colours of a material, see `support.textures`."""
+        return texture(material, ABOVE)
 
     def __init__(self, scenes):
         """scenes: a list of Scenes; a robot's scene is an index into it. Heights are rounded to a
@@ -100,7 +95,8 @@ class Camera:
         for i, scene in enumerate(scenes):
             for b, box in enumerate(scene.boxes):
                 self._corners[i, b] = box.corners @ (1, 1j)
-                top = min(round(box.height / TEXEL), ABOVE)
+                # A box is higher than the eye, and stays so when its height is rounded.
+                top = min(max(round(box.height / TEXEL), int(np.ceil(EYE))), ABOVE)
                 self._tops[i, b] = top * TEXEL
                 for face in range(4):
                     normal = box.yaw + (face + 1) * np.pi / 2

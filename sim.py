@@ -1,8 +1,7 @@
-"""The world: rooms, and many robots that drive in one pymunk space.
+"""The world: rooms, and many robots that drive in them.
 
-Why pymunk at all? It does one thing here: it says when a robot's disc touches a wall, quickly and
-for many robots at once. The motion is ours: between two commands a robot drives a circular arc,
-and the arc is computed in closed form (`World.drive`).
+pymunk has one task here: it tells when a robot's disc touches a wall. The motion is ours: between
+two commands a robot drives a circular arc, which is computed in closed form (`World.drive`).
 
 Frames and units: SI, ROS axes (x forward, y left, heading counter-clockwise), radians in (-pi, pi].
 A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room, P points.
@@ -14,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import pymunk
-from pymunk import batch
 
 ROBOT_RADIUS = 0.178  # [m] a Kobuki's disc, released model
 CAMERA_HEIGHT = 0.281  # [m] above the floor, released model
@@ -26,14 +24,7 @@ SUBSTEPS = 4  # physics steps of one command, our choice
 CELL = 0.025  # [m] grid on which a room's reachable floor is found, our choice
 FAR_ENOUGH = 1.0  # [m] from a start drawn at random to its target, our choice
 PERTURBATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] one standard deviation, our choice
-ROBOTS_PER_COPY = 32  # pymunk looks at every pair of robots that overlap before it ignores it,
-#   so a crowd gets several copies of its room
-
-ROBOT_FILTER = pymunk.ShapeFilter(group=1)  # shapes of one group neither touch nor see each other
-ROBOT_TYPE = 1  # collision types of pymunk
-WALL_TYPE = 2
-ROW = (batch.BodyFields.POSITION | batch.BodyFields.ANGLE  # x, y, theta, vx, vy, omega
-       | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY)
+EVERYTHING = pymunk.ShapeFilter()  # a query meets every shape
 
 
 class SceneError(ValueError):
@@ -41,8 +32,9 @@ class SceneError(ValueError):
 
 
 def wrap_angle(angle):
-    """The same direction [rad] in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    """Returns the same direction [rad] in (-pi, pi]."""
+    wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    return np.where(wrapped > -np.pi, wrapped, np.pi)[()]  # rounding may have led to -pi
 
 
 @dataclass(frozen=True)
@@ -101,6 +93,26 @@ class Scene:
             inside = np.minimum(beyond.max(-1), 0)
             nearest = np.minimum(nearest, outside + inside)
         return nearest
+
+    def fits(self, pose):
+        """Returns whether the robot's disc fits into the room at a pose (x, y, ...)."""
+        low, high = self.bounds
+        place = np.asarray(pose[:2])
+        inside = (low < place).all() and (place < high).all()
+        return bool(inside and self.clearance(place) > ROBOT_RADIUS)
+
+    def mirrored(self):
+        """Returns the room as a mirror shows it, x for -x, without the new targets. The sun stays
+        where it is, so its images are the flipped images in another light."""
+        starts = [(-x, y, math.pi - theta) for x, y, theta in (self.start, *self.other_starts)]
+        return replace(
+            self,
+            name=f"{self.name}-mirrored",
+            boxes=tuple(replace(box, x=-box.x, yaw=-box.yaw) for box in self.boxes),
+            start=starts[0],
+            other_starts=tuple(starts[1:]),
+            training_targets=tuple((-x, y) for x, y in self.training_targets),
+            new_targets=())
 
     @cached_property
     def reachable(self):
@@ -163,133 +175,68 @@ def flood(free, source):
     return flooded
 
 
-def _touch(arbiter, space, touched):
-    """What pymunk calls where a robot touches a wall. touched: a list that gets the robot."""
-    arbiter.process_collision = False  # a hit is reported, never bounced
-    touched.append(arbiter.bodies[0].robot)
-
-
 class World:
-    """R robots in one pymunk space; robot r drives in a copy of `scenes[r]`.
-
-    Rooms and copies of rooms lie side by side, at most ROBOTS_PER_COPY robots to a copy. Poses are
-    given and returned in the coordinates of the robot's own room, and are the whole state.
-    """
+    """R robots; robot r drives in `scenes[r]`. Robots neither touch nor see each other."""
 
     def __init__(self, scenes):
         """scenes: R Scenes, one for each robot. Robots start at their scenes' start poses."""
         self.scenes = list(scenes)
-        self.space = pymunk.Space()
-        self._touched = []  # robots that touched a wall in this substep
-        # The space lives on until Python looks for cycles, so nothing in it may hold the world.
-        self.space.on_collision(ROBOT_TYPE, WALL_TYPE, pre_solve=_touch, data=self._touched)
-        self._offsets = self._lay_out_rooms()  # (R, 2) own room to space
-        for r in range(len(self.scenes)):
-            body = pymunk.Body(mass=1, moment=1)
-            disc = pymunk.Circle(body, ROBOT_RADIUS)
-            disc.filter = ROBOT_FILTER
-            disc.collision_type = ROBOT_TYPE
-            self.space.add(body, disc)
-            body.robot = r
-        # One row a body, as pymunk's batch functions move them. The last is the space's static
-        # body, which carries the walls and has to stay at zero.
-        self._rows = np.zeros((len(self.scenes) + 1, 6))
-        self._to_space = batch.Buffer()
-        self._from_space = batch.Buffer()
-        self._to_space.set_float_buf(self._rows)
-        self.place(slice(None), np.array([scene.start for scene in self.scenes]))
-
-    def state(self):
-        """All that changes while robots drive, (R + 1, 6), for `load_state`."""
-        return self._rows.copy()
-
-    def load_state(self, state):
-        """Goes back to a state of this world, exactly."""
-        self._rows[:] = state
-        batch.set_space_bodies(self.space, ROW, self._to_space)
+        spaces = {}  # of each room, by identity: robots of one room share it
+        for scene in self.scenes:
+            if id(scene) not in spaces:
+                space = pymunk.Space()
+                spaces[id(scene)] = space
+                for box in scene.boxes:
+                    space.add(pymunk.Poly(space.static_body, box.corners.tolist()))
+        self._spaces = [spaces[id(scene)] for scene in self.scenes]
+        self._poses = np.zeros((len(self.scenes), 3))
+        self.place(slice(None), [scene.start for scene in self.scenes])
 
     def __getstate__(self):
-        """What is pickled or copied: pymunk's own pickle would lose the collision callback."""
-        return {"scenes": self.scenes, "state": self.state()}
+        return self.scenes, self._poses  # spaces are made anew when a world is copied or unpickled
 
     def __setstate__(self, content):
-        self.__init__(content["scenes"])
-        self.load_state(content["state"])
-
-    def _lay_out_rooms(self):
-        """Adds the walls of every copy of a room to the space, copies side by side in a square of
-        columns. Returns where each robot's copy lies, (R, 2) [m]."""
-        robots_of = {}  # a room, by identity -> its robots
-        for r, scene in enumerate(self.scenes):
-            robots_of.setdefault(id(scene), []).append(r)
-        copies = [robots[k:k + ROBOTS_PER_COPY] for robots in robots_of.values()
-                  for k in range(0, len(robots), ROBOTS_PER_COPY)]  # the robots of each
-        widths = [np.ptp(scene.bounds, axis=0) for scene in self.scenes]
-        pitch = 1 + np.max(widths, axis=0)  # [m] from one copy to the next, along x and y
-        columns = math.ceil(math.sqrt(len(copies)))
-        offsets = np.zeros((len(self.scenes), 2))
-        for k, robots in enumerate(copies):
-            scene = self.scenes[robots[0]]
-            place = np.array([k // columns, k % columns]) * pitch
-            offset = place - scene.bounds[0]
-            offsets[robots] = offset
-            for box in scene.boxes:
-                wall = pymunk.Poly(self.space.static_body, (box.corners + offset).tolist())
-                wall.collision_type = WALL_TYPE
-                self.space.add(wall)
-        return offsets
+        scenes, poses = content
+        self.__init__(scenes)
+        self._poses = poses
 
     @property
     def poses(self):
-        """(R, 3) poses, each in its own room."""
-        poses = self._rows[:-1, :3].copy()
-        poses[:, :2] -= self._offsets
-        return poses
+        """A copy of the poses (R, 3)."""
+        return self._poses.copy()
 
     def place(self, robots, poses):
-        """Puts the robots (indices or a slice) at those (n, 3) poses, at rest."""
-        poses = np.asarray(poses)
-        rows = self._rows[:-1]
-        rows[robots, :2] = poses[:, :2] + self._offsets[robots]
-        rows[robots, 2] = wrap_angle(poses[:, 2])
-        rows[robots, 3:] = 0
-        batch.set_space_bodies(self.space, ROW, self._to_space)
+        """Puts robots (indices or a slice) at poses (n, 3)."""
+        self._poses[robots] = poses
+        self._poses[robots, 2] = wrap_angle(self._poses[robots, 2])
 
     def drive(self, commands):
         """Drives every robot for CONTROL_PERIOD; returns (R,) bool, which of them hit a wall.
 
         commands: (R, 2), linear [m/s] and angular [rad/s] velocity. A substep that would end in a
-        wall is not made: the robot stands where it was before it, for the rest of the period.
+        wall is not made: the robot stays where it was before it, for the rest of the period.
         """
-        commands = np.array(commands, dtype=float)
-        v = commands[:, 0]
-        w = commands[:, 1]
-        rows = self._rows[:-1]  # a view: what pymunk moves shows here
+        v, w = np.array(commands, dtype=float).T
         dt = CONTROL_PERIOD / SUBSTEPS
-        hit = np.zeros(len(rows), dtype=bool)
-        # The arc is exact. Its chord points along the heading at half time, and is sin(a) / a as
-        # long as the arc, where a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
+        # The arc's chord points along the heading at half time, and is sin(a) / a as long as the
+        # arc, with a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
         chord = v * np.sinc(w * dt / (2 * np.pi))
+        hit = np.zeros(len(v), dtype=bool)
+        reach = ROBOT_RADIUS + np.abs(v) * CONTROL_PERIOD + 1e-6
+        near = [r for r in range(len(v)) if self._touches(r, self._poses[r], reach[r])]
         for _ in range(SUBSTEPS):
-            before = rows[:, :3].copy()
-            middle = before[:, 2] + w * dt / 2
-            rows[:, 3] = chord * np.cos(middle)
-            rows[:, 4] = chord * np.sin(middle)
-            rows[:, 5] = w
-            self._step_space(dt)
-            if self._touched:
-                rows[self._touched, :3] = before[self._touched]
-                chord[self._touched] = 0
-                w[self._touched] = 0
-                hit[self._touched] = True
-        rows[:, 2] = wrap_angle(rows[:, 2])
+            middle = self._poses[:, 2] + w * dt / 2
+            ahead = self._poses.copy()
+            ahead[:, 0] += chord * np.cos(middle) * dt
+            ahead[:, 1] += chord * np.sin(middle) * dt
+            ahead[:, 2] += w * dt
+            for r in near:  # no other robot can reach a wall in this period
+                hit[r] = hit[r] or self._touches(r, ahead[r], ROBOT_RADIUS)
+            self._poses = np.where(hit[:, None], self._poses, ahead)
+        self._poses[:, 2] = wrap_angle(self._poses[:, 2])
         return hit
 
-    def _step_space(self, dt):
-        """Lets pymunk move all bodies for dt [s]. `_touched` then holds the robots that hit."""
-        batch.set_space_bodies(self.space, ROW, self._to_space)
-        self._touched.clear()
-        self.space.step(dt)
-        self._from_space.clear()
-        batch.get_space_bodies(self.space, ROW, self._from_space)
-        self._rows[:] = np.frombuffer(self._from_space.float_buf()).reshape(-1, 6)
+    def _touches(self, r, pose, radius):
+        """Returns whether a disc at a pose touches a wall of robot r's room."""
+        x, y, _ = pose.tolist()
+        return self._spaces[r].point_query_nearest((x, y), radius, EVERYTHING) is not None

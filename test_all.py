@@ -4,14 +4,13 @@ oracle that is slow and obvious. `make test` runs the tests of the other rooms t
 import ast
 import copy
 import csv
-import io
 import json
 import math
 import pickle
 import re
 import subprocess
 import sys
-import tokenize
+import types
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -31,15 +30,13 @@ import scenes
 import sim
 import train
 from scenes.test_scenes import box, square_room
-from support.adam import Adam
-from support.processes import OneProcess
-from support.record import Record
-from support.rooms import mirrored
-from support.weights import load_run
+from support.test_cli import refusal
+from support.weights import load_model
 
 ROOT = Path(__file__).parent
 ENV1 = scenes.load("env1")
 ENV2 = scenes.load("env2")
+ONE_TARGET = scenes.parse(square_room(new_targets=[]), "room")
 LESSON = ("navbot_min.py", "sim.py", "render.py", "model.py", "ppo.py", "train.py")
 
 
@@ -59,43 +56,6 @@ def test_constant_velocities_drive_the_closed_form_arc(v, w):
     assert abs(sim.wrap_angle(world.poses[0, 2] - angle)) < 1e-6
 
 
-def test_a_robot_at_full_speed_never_crosses_the_thinnest_wall():
-    thin = box(thickness=3.98, length=0.001, x=0.7)
-    scene = scenes.parse(square_room(extra=[thin], training_targets=[[-1.0, 0.0]]), "room")
-    world, hits = sim.World([scene] * 64), 0
-    world.place(slice(None), np.c_[np.zeros(64), np.linspace(-1, 1, 64), np.linspace(-1, 1, 64)])
-    for _ in range(50):  # 20 s, never reset
-        hits += world.drive(np.tile((0.3, 0.0), (64, 1))).sum()
-        assert scene.clearance(world.poses[:, :2]).min() >= sim.ROBOT_RADIUS
-    assert hits > 64 and world.poses[:, 0].max() < 0.7
-
-
-def test_a_hit_is_reported_exactly_when_the_disc_would_overlap_a_box():
-    rng = np.random.default_rng(0)
-    free = ENV1.reachable
-    world = sim.World([ENV1] * 200)
-    poses = np.c_[free[rng.integers(len(free), size=200)], rng.uniform(-np.pi, np.pi, 200)]
-    world.place(slice(None), poses)
-    hit = world.drive(np.tile((0.3, 0.0), (200, 1)))
-    ahead = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], -1)
-    expected = [min(ENV1.clearance(p + a * 0.03 * k) for k in (1, 2, 3, 4)) < sim.ROBOT_RADIUS
-                for p, a in zip(poses[:, :2], ahead)]
-    assert hit.tolist() == expected and 10 < hit.sum() < 190
-
-
-def test_an_episode_is_not_changed_by_a_collision_before_it():
-    world, fresh = sim.World([ENV1] * 64), sim.World([ENV1] * 64)
-    commands = np.c_[np.linspace(0.1, 0.3, 64), np.linspace(-0.5, 0.5, 64)]
-    fresh.drive(commands)  # what the first step of an episode looks like
-    hits, hit = 0, np.zeros(64, bool)
-    for _ in range(100):
-        world.place(np.flatnonzero(hit), np.tile(ENV1.start, (hit.sum(), 1)))
-        before, hit = hit, world.drive(commands)
-        assert (world.poses[before] == fresh.poses[before]).all()
-        hits += hit.sum()
-    assert hits > 100
-
-
 def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
     rooms = [(ENV1, ENV2)[k % 3 // 2] for k in range(100)]  # several copies of both
     commands = np.random.default_rng(1).uniform((0, -1), (0.3, 1), (12, 100, 2))
@@ -109,7 +69,7 @@ def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
 
 @pytest.mark.parametrize("scene", [ENV1, ENV2])
 def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
-    mirror = mirrored(scene)
+    mirror = scene.mirrored()
     rng = np.random.default_rng(4)
     poses = [(*p, rng.uniform(-3, 3)) for p in rng.choice(scene.reachable, 50)] + [scene.start]
     poses = np.array(poses)
@@ -128,13 +88,6 @@ def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
         commands = rng.uniform((0, -1), (0.3, 1), (51, 2))
         assert (world.drive(commands) == twin.drive(commands * (1, -1))).all()
     assert np.allclose(flip(world.poses)[:, :2], twin.poses[:, :2], atol=1e-6)
-
-
-@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
-def test_rooms_are_the_papers(scene):
-    """Facts of the released rooms: 0.28 m of air everywhere, no target straight ahead."""
-    places = np.vstack([scene.targets, scene.start[:2]])
-    assert scene.clearance(places).min() >= 0.28
 
 
 # --------------------------------------------------------------------------------------- the camera
@@ -171,7 +124,7 @@ def slow_image(scene, pose, target):
                 image[hit] = np.multiply(render.BLUE, bright)
             else:
                 texel = (u[hit] // 0.025).astype(int) % 48, (height[hit] // 0.025).astype(int)
-                image[hit] = render.texture(b.material)[texel] * bright.round(1)
+                image[hit] = render.texture(b.material, render.ABOVE)[texel] * bright.round(1)
             nearest = np.where(hit, z, nearest)
     z = (0.281 - 0.2) / np.where(down > 0, down, 1e-9)  # the lid of the cube
     lid = (z < nearest) & (np.abs(eye[0] + z * x - target[0]) < 0.1) & (
@@ -199,18 +152,28 @@ def test_images_are_those_of_the_slow_raycaster():
             fast = photograph(scene, [pose], target)
         off = np.abs(fast[0].astype(float) - slow_image(scene, pose, target)).max(-1) > 1
         checked.append(off.mean())
-    assert max(checked) <= 0.005 and np.mean(checked) <= 0.001, checked  # on edges alone
+    assert max(checked) <= 0.005 and np.mean(checked) <= 0.001, checked  # only on edges
 
 
-def test_a_red_wall_seen_head_on_is_flat_and_red():
-    wall = box(material="brick", length=0.1, thickness=3.9, height=1.5)
-    scene = scenes.parse(square_room(extra=[wall], training_targets=[[-1.0, 0.0]]), "room")
-    image = photograph(scene, np.zeros((1, 3)), (-1.0, 0.0))[0]
-    assert image.shape == (48, 64, 3) and image.dtype == np.uint8
-    foot = (image == render.FLOOR).all(-1).argmax(0)  # first row of floor in each column
-    distance = 0.95 + 0.118  # from the camera to the wall
-    assert set(foot) == {math.ceil(23.5 + 0.281 / distance * render.FOCAL)}  # flat: no fish-eye
-    red, green, blue = image[: foot[0]].reshape(-1, 3).mean(0)
+def test_a_wider_camera_paints_right_images_too(monkeypatch):
+    source = (ROOT / "render.py").read_text().replace("np.radians(60)", "np.radians(100)")
+    wide = types.ModuleType("wide")
+    monkeypatch.setitem(sys.modules, "wide", wide)
+    exec(compile(source, "wide", "exec"), wide.__dict__)
+    monkeypatch.setitem(globals(), "render", wide)
+    assert wide.FOCAL < 27
+    hall = scenes.parse(square_room(4.0), "hall")
+    for pose in ((-3.5, 0.3, 0.1), (0.0, 3.0, -1.6)):  # up to 8 m of floor
+        fast = photograph(hall, [pose], (1.0, 0.0))[0].astype(float)
+        assert (np.abs(fast - slow_image(hall, pose, (1.0, 0.0))).max(-1) > 1).mean() < 0.005
+
+
+def test_a_brick_box_hardly_higher_than_the_eye_is_red_without_a_stripe_of_sky():
+    low = box(material="brick", x=0.5, length=0.2, thickness=3.9, height=0.282)
+    scene = scenes.parse(square_room(extra=[low], training_targets=[[-1.0, 0.0]]), "room")
+    row = photograph(scene, np.zeros((1, 3)), (-1.0, 0.0))[0, 24]  # the first below the horizon
+    assert (row != render.SKY).any(-1).all() and (row != render.FLOOR).any(-1).all()
+    red, green, blue = row.mean(0)
     assert red > 1.5 * green and red > 1.5 * blue
 
 
@@ -241,6 +204,20 @@ def test_rewards_are_those_of_eq_4(before, after, arrived, hit, paid):
     assert navbot_min.rewards(before, after, arrived, hit) == pytest.approx(paid)
 
 
+def test_your_own_reward_and_the_clipped_command_are_what_is_seen_added_up_and_returned():
+    class Constant(navbot_min.NavVecEnv):
+        def reward(self, before, after, arrived, failed):
+            return np.full(len(before), 7.0)
+    env = Constant(2, max_episode_steps=3)
+    env.reset(seed=0)
+    for length in (1, 2, 3):
+        seen, reward, _, _, infos = env.step(np.full((2, 2), 5.0))
+        assert (reward == 7).all() and (seen["last_reward"] == (7 if length < 3 else 0)).all()
+    assert (infos["final_info"]["return"] == 21).all()
+    assert (infos["final_obs"]["last_reward"] == 7).all()
+    assert np.allclose(infos["final_obs"]["velocity"], (0.3, 1.0))  # m/s, rad/s
+
+
 def test_arrival_wins_over_a_collision_in_the_same_step():
     scene = scenes.parse(square_room(training_targets=[[1.95, 0.0]]), "room")
     env = navbot_min.NavEnv([scene], targets="training")
@@ -253,15 +230,11 @@ def test_arrival_wins_over_a_collision_in_the_same_step():
     assert info["outcome"] == navbot_min.ARRIVAL
 
 
-def test_bearing_is_continuous_through_pi():
-    headings = np.linspace(-7, 7, 5001)
-    poses = np.c_[np.zeros((5001, 2)), headings]
-    polar = navbot_min.polar_targets(poses, np.tile((3.0, 4.0), (5001, 1)))
-    assert np.allclose(polar[:, 0], 5) and (np.abs(polar[:, 1]) <= np.pi).all()
-    turn = np.diff(polar[:, 1])
-    assert np.allclose(np.minimum(np.abs(turn), 2 * np.pi - np.abs(turn)), 14 / 5000)
-    seen = navbot_min.polar_targets(np.zeros((1, 3)), np.array([[0.0, 2.0]]))
-    assert np.allclose(seen, (2.0, np.pi / 2))  # the target to the left has a positive bearing
+@pytest.mark.parametrize("angle", [np.pi, -np.pi, np.nextafter(np.pi, 4), 1e6, -1e6])
+def test_a_wrapped_angle_is_above_minus_pi_and_at_most_pi(angle):
+    wrapped = sim.wrap_angle(angle)
+    assert -np.pi < wrapped <= np.pi
+    assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
 
 
 @pytest.mark.parametrize("name, targets", [("env1", "memorize"), ("env2", "both"),
@@ -279,20 +252,15 @@ def test_gymnasium_accepts_the_environment_without_a_warning(name, targets):
 
 
 @pytest.mark.parametrize("changes, words", [
-    ({"scenes": "env1"}, "scenes is 'env1', it must be a list such as ['env1']"),
-    ({"scenes": []}, "scenes is [], it must be a list"),
-    ({"scenes": 3}, "scenes is 3, it must be a list"),
-    ({"scenes": ["env1", "env2"], "num_envs": 1}, "scenes has 2 entries, it must have at most 1"),
-    ({"random_starts": "x"}, "random_starts is 'x', it must be from 0 to 1"),
-    ({"targets": [1.0] * 32}, "targets[0] is 1.0, it must be from 0 to 2"),
-    ({"scenes": ["env9"]}, "unknown scene 'env9'"),
-    ({"num_envs": 0}, "num_envs is 0, it must be a whole number from 1 up"),
-    ({"max_episode_steps": True}, "max_episode_steps is True"),
-    ({"render_mode": "ascii"}, "render_mode is 'ascii', it must be None or one of rgb_array"),
+    ({"scenes": "env1"}, "scenes is 'env1', it must be a list of 1 to 32 rooms"),
+    ({"scenes": ["env1", "env2"], "num_envs": 1}, "it must be a list of 1 to 1 rooms"),
+    ({"num_envs": 0}, "num_envs is 0, it must be at least 1"),
+    ({"max_episode_steps": 0}, "max_episode_steps is 0, it must be at least 1, or -1"),
     ({"random_starts": 1.5}, "random_starts is 1.5, it must be from 0 to 1"),
     ({"targets": "old"}, "targets is 'old', it must be one of training, new, both"),
-    ({"targets": [0]}, "targets has shape (1,), it must be a name or (32,)"),
-    ({"targets": [3] * 32}, "targets[0] is 3, it must be from 0 to 2")])
+    ({"targets": "new", "scenes": [ONE_TARGET]}, "targets is 'new', but scene 'room' has none"),
+    ({"targets": [0]}, "for robot 1 it must have an index from 0 to 2"),
+    ({"targets": [-1] * 32}, "for robot 0 it must have an index from 0 to 2")])
 def test_bad_arguments_are_one_sentence(changes, words):
     with pytest.raises(ValueError, match=re.escape(words)):
         navbot_min.NavVecEnv(**changes)
@@ -307,31 +275,19 @@ def test_a_picture_shows_the_last_step_of_an_episode_and_a_window_every_step(mon
     monkeypatch.setattr("support.film.Window", Window)
     picture = navbot_min.NavEnv(targets=[0], render_mode="rgb_array")
     window = navbot_min.NavEnv(targets=[0], render_mode="human")
-    for env in (picture, window):
-        env.reset(seed=0)
-    frames = [picture.render()]
-    over = False
-    while not over:
-        _, _, terminated, _, info = picture.step([1.0, 0.0])
-        over = terminated
-        frames.append(picture.render())
-        window.step([1.0, 0.0])
-    assert len(frames) == info["length"] + 1 == len(shown)
-    assert all((one == other).all() for one, other in zip(frames, shown))
-    assert all((one != other).any() for one, other in zip(frames, frames[1:]))  # the robot moves
-    many = navbot_min.NavVecEnv(2, targets=[0, 2], render_mode="rgb_array")
-    many.reset(seed=0)
-    first, second = many.render()
-    assert (first == frames[0]).all() and (second != first).any()
-
-
-def test_a_room_without_new_targets_is_valid():
-    room = scenes.parse(square_room(new_targets=[]), "level 1")
-    env = navbot_min.NavVecEnv(4, [room])
-    env.reset(seed=0)
-    assert (env.goals == (1.0, 0.0)).all()
-    with pytest.raises(ValueError, match="scene 'level 1' has none of them"):
-        navbot_min.NavVecEnv(4, [room], targets="new")
+    for _ in range(2):  # the second episode's trail is its own
+        shown.clear()
+        for env in (picture, window):
+            env.reset(seed=0)
+        frames = [picture.render()]
+        over = False
+        while not over:
+            _, _, over, _, info = picture.step([1.0, 0.0])
+            frames.append(picture.render())
+            window.step([1.0, 0.0])
+        assert len(frames) == info["length"] + 1 == len(shown)
+        assert all((one == other).all() for one, other in zip(frames, shown))
+        assert all((one != other).any() for one, other in zip(frames, frames[1:]))  # it moves
 
 
 def test_the_vector_environment_is_many_single_ones():
@@ -366,26 +322,6 @@ def test_the_vector_environment_is_many_single_ones():
     assert ended > 8
 
 
-def test_episodes_of_several_scenes_are_those_of_each_alone():
-    both = navbot_min.NavVecEnv(4, [ENV1, ENV2], targets=[0, 1, 2, 3])
-    alone = [navbot_min.NavVecEnv(1, [(ENV1, ENV2)[r % 2]], targets=[r]) for r in range(4)]
-    seen, _ = both.reset(seed=0)
-    for r, env in enumerate(alone):
-        one, _ = env.reset(seed=0)
-        assert all((seen[key][r] == one[key][0]).all() for key in seen)
-    assert both.scene_of.tolist() == [0, 1, 0, 1]
-
-
-def test_the_time_limit_truncates_and_reports_the_last_velocity_and_reward():
-    env = navbot_min.NavEnv(max_episode_steps=3)
-    env.reset(seed=0)
-    steps = [env.step([0.0, 5.0]) for _ in range(3)]
-    assert [step[2:4] for step in steps] == [(False, False), (False, False), (False, True)]
-    assert steps[-1][4]["outcome"] == navbot_min.TIMEOUT
-    assert steps[-1][0]["velocity"].tolist() == [0, 1]  # clipped, in rad/s
-    assert steps[-1][0]["last_reward"] == pytest.approx(-0.05)
-
-
 @pytest.mark.parametrize("targets, indices", [
     ("training", {0, 1}), ("new", {2}), ("both", {0, 1, 2})])
 def test_episodes_draw_their_targets_from_the_chosen_set(targets, indices):
@@ -416,18 +352,12 @@ def test_level_1_leads_from_near_any_start_to_near_the_first_target():
         assert moved.mean(0) == pytest.approx(0, abs=0.015)
 
 
-def test_level_1_starts_where_the_robot_fits_and_moves_no_target_towards_a_box():
-    tight = scenes.parse(square_room(0.25, training_targets=[[0.2, 0.0]], new_targets=[]), "room")
+def test_level_1_starts_where_the_robot_fits_and_moves_no_target_to_a_thin_wall_or_behind_it():
+    tight = scenes.parse(square_room(0.25, thickness=0.001, training_targets=[[0.2, 0.0]],
+                                     new_targets=[]), "room")
     goals, starts = sampled(tight, "memorize")
     assert sim.ROBOT_RADIUS < tight.clearance(starts[:, :2]).min() < sim.ROBOT_RADIUS + 0.001
-    assert 0.05 < tight.clearance(goals).min() < 0.051
-
-
-def test_level_1_leads_to_no_place_behind_a_thin_wall():
-    thin = scenes.parse(square_room(0.5, thickness=0.001, training_targets=[[0.45, 0.0]],
-                                    new_targets=[]), "room")
-    goals, _ = sampled(thin, "memorize", 1000)
-    assert 0.4 < np.abs(goals).max() < 0.5
+    assert 0.05 < tight.clearance(goals).min() < 0.051 and np.abs(goals).max() < 0.25
 
 
 @pytest.mark.parametrize("scene", [ENV1, scenes.load("random:3")])
@@ -458,24 +388,19 @@ def test_reset_starts_the_episode_that_it_is_asked_for():
 
 
 @pytest.mark.parametrize("options, words", [
-    ({"targets": 1}, "options has 'targets', known are 'target' and 'start'"),
-    ([1], "options is [1], it must be a dict"),
-    ({"target": 3}, "options['target'] is 3, it must be from 0 to 2"),
-    ({"target": -1}, "options['target'] is -1"),
-    ({"target": 1.0}, "options['target'] is 1.0, it must be a whole number"),
+    ({"targets": 1}, "options has 'targets', known: 'target' and 'start'"),
+    ({"target": 3}, "options['target'] is 3, it must be an index into the targets of env1"),
     ({"target": True}, "options['target'] is True"),
-    ({"start": (0, 0)}, "options['start'] is (0, 0), it must be a pose"),
-    ({"start": (-2.0, np.nan, 0)}, "it must be a pose"),
-    ({"start": "here"}, "options['start'] is 'here'"),
-    ({"start": (-2.0, 9.0, 0)}, "it must be in the room 'env1'"),
-    ({"start": (-4.4, -3.0, 0)}, "it must be in the room 'env1' and 0.178 m")])
+    ({"start": (-2.0, np.nan, 0)}, "it must be a pose (x, y, theta) inside"),
+    ({"start": (-4.4, -3.0, 0)}, "0.178 m from the boxes, of env1")])
 def test_bad_options_of_reset_are_refused_and_change_nothing(options, words):
-    env = navbot_min.NavVecEnv(2)
-    env.reset(seed=0)
-    before = pickle.dumps(env.state())
+    env, twin = navbot_min.NavVecEnv(2), navbot_min.NavVecEnv(2)
+    for one in (env, twin):
+        one.reset(seed=0)
     with pytest.raises(ValueError, match=re.escape(words)):
         env.reset(options=options)
-    assert pickle.dumps(env.state()) == before
+    assert (env.world.poses == twin.world.poses).all() and (env.goals == twin.goals).all()
+    assert env.np_random.random() == twin.np_random.random()
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
@@ -485,19 +410,14 @@ def test_a_copy_goes_on_as_the_original(duplicate):
     env.reset(seed=0)
     for action in actions[:20]:
         env.step(action)
-    twin = duplicate(env)
-    restored = navbot_min.NavVecEnv(8, [ENV1, ENV2], random_starts=0.5)
-    restored.reset(seed=9)
-    restored.load_state(env.state())
-    ended = 0
+    twin, ended = duplicate(env), 0
     for action in actions[20:]:
         seen, rewards, terminated, _, infos = env.step(action)
+        others, other_rewards, _, _, other_infos = twin.step(action)
         ended += terminated.sum()
-        for other in (twin, restored):
-            others, other_rewards, _, _, other_infos = other.step(action)
-            assert all((seen[key] == others[key]).all() for key in seen)
-            assert (rewards == other_rewards).all()
-            assert (infos["pose"] == other_infos["pose"]).all()
+        assert all((seen[key] == others[key]).all() for key in seen)
+        assert (rewards == other_rewards).all()
+        assert (infos["pose"] == other_infos["pose"]).all()
     assert ended > 4
 
 
@@ -520,8 +440,8 @@ def test_the_time_limit_is_the_one_that_was_asked_for(mode):
 
 
 @pytest.mark.parametrize("actions, words", [
-    (np.zeros((3, 2)), "shape (3, 2), it must be (2, 2)"), (np.zeros(2), "it must be (2, 2)"),
-    ([[0, 0], [np.nan, 0]], "robot 1 is not finite")])
+    (np.zeros((3, 2)), "finite numbers of shape (2, 2)"), (np.zeros(2), "of shape (2, 2)"),
+    ([[0, 0], [np.nan, 0]], "they are [[ 0.  0.]")])
 def test_bad_actions_are_refused(actions, words):
     env = navbot_min.NavVecEnv(2)
     with pytest.raises(gym.error.ResetNeeded, match="before reset"):
@@ -562,8 +482,7 @@ def test_a_network_is_drawn_from_its_seed_and_nothing_else_draws_from_torchs_glo
     before = torch.get_rng_state()
     first, second, other = (model.make_network(seed).value.weight for seed in (1, 1, 2))
     assert torch.equal(first, second) and not torch.equal(first, other)
-    config = train.Config(steps=800, robots=8, episodes_per_update=8, random_starts=1.0)
-    train.train(train.Training(config, [ENV1], OneProcess()))
+    train_on(train.Config(steps=800, robots=8, episodes_per_update=8, random_starts=1.0))
     assert torch.equal(torch.get_rng_state(), before)
 
 
@@ -575,7 +494,6 @@ def test_the_network_has_the_papers_shapes():
     net.see(torch.zeros(1, 48, 64, 3, dtype=torch.uint8))
     assert shapes == [(32, 12, 16), (64, 6, 8), (64, 3, 4), (64, 2, 2)]  # channels, height, width
     counted = sum(p.numel() for name, p in net.named_parameters() if name != "log_std")
-    counted -= 2 * 4 * model.HIDDEN  # the columns that clear the memories are no weights
     assert counted == 948_931 and net.log_std.numel() == 2
 
 
@@ -624,13 +542,6 @@ def test_gradients_reach_the_first_convolution_and_both_lstms():
             assert parameter.grad.abs().sum() > 0
 
 
-def test_gradients_reach_the_first_step_from_the_last():
-    net, seen = network(), random_observations(1, 12)
-    seen["target"].requires_grad_()
-    net(seen, net.initial_state(1))[1][0, -1].backward()
-    assert (seen["target"].grad[0].abs().sum(-1) > 0).all()
-
-
 # -------------------------------------------------------------------------------------- the learner
 
 
@@ -659,11 +570,11 @@ def slow_losses(net, episodes, A, eps):
     return policy, value
 
 
-def test_episodes_end_to_end_have_the_losses_and_gradients_of_each_step_alone():
+def test_padded_episodes_have_the_losses_and_gradients_of_each_step_by_itself():
     net, episodes = network(), random_episodes([3, 9, 5, 1, 4])
     A = [torch.randn(len(e)).numpy() for e in episodes]
     batch = ppo.make_minibatch(episodes, A)
-    assert batch["mask"].shape == (3, 10) and batch["mask"].sum() == 22
+    assert batch["mask"].shape == (5, 9) and batch["mask"].sum() == 22
     for k in (0, 1):  # policy loss, value loss
         results = []
         for losses in (ppo.losses(net, batch, 0.2), slow_losses(net, episodes, A, 0.2)):
@@ -674,14 +585,6 @@ def test_episodes_end_to_end_have_the_losses_and_gradients_of_each_step_alone():
         (loss, gradient), (expected, slow_gradient) = results
         assert loss == pytest.approx(expected, rel=1e-5)
         assert (gradient - slow_gradient).norm() < 1e-5 * slow_gradient.norm()
-
-
-@pytest.mark.parametrize("lengths, rows", [([5], 1), ([9, 3, 5], 2), ([2, 2, 8, 2], 2),
-                                           ([4, 4, 4], 3), ([5, 3, 2], 3)])
-def test_rows_are_no_longer_than_the_longest_episode_and_hold_each_once(lengths, rows):
-    laid = ppo.pack_rows(lengths)
-    assert len(laid) == rows and sorted(k for row in laid for k in row) == [*range(len(lengths))]
-    assert max(sum(lengths[k] + 1 for k in row) - 1 for row in laid) == max(lengths)
 
 
 def test_the_clipped_loss_is_that_of_eq_3():
@@ -717,10 +620,8 @@ def test_the_first_minibatch_between_two_updates_has_ratio_1_and_kl_0():
     assert (r - 1).abs().max() < 1e-4 and len({len(e) for e in episodes}) > 1
     statistics = dict(zip(ppo.STATISTICS, ppo.losses(net, batch, 0.2)[2]))
     assert abs(statistics["kl"]) < 1e-6
-    order = [k for row in ppo.pack_rows([len(e) for e in episodes]) for k in row]
-    expected = np.concatenate([episodes[k].values for k in order])  # memory was cleared in between
+    expected = np.concatenate([episode.values for episode in episodes])
     assert np.allclose(values[batch["mask"]].detach(), expected, atol=1e-4)
-    assert len(batch["mask"]) < len(episodes)
 
 
 def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_limit():
@@ -748,17 +649,6 @@ def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_li
         assert episode.last_value == pytest.approx(expected, abs=1e-4)
         assert episode.rewards.sum() == pytest.approx(0.01 * info["return"], abs=1e-4)
     assert outcomes == {True, False}
-
-
-def test_a_collector_whose_episodes_have_all_just_ended_goes_on_from_its_state():
-    first, second = (ppo.Collector(navbot_min.NavVecEnv(2, max_episode_steps=3), network(), 0.01,
-                                   0, 0) for _ in range(2))
-    for _ in range(3):
-        first.step()
-    second.load_state(first.state())
-    for _ in range(4):
-        ended = [(info, e.actions.tolist()) for e, info in first.step()]
-        assert ended == [(info, e.actions.tolist()) for e, info in second.step()]
 
 
 class Cue(VectorEnv):
@@ -792,12 +682,12 @@ def test_a_cue_at_the_first_step_is_learnt_by_the_lstm_and_not_without_memory():
     config, paid = train.Config(epochs=6, minibatches=1, lam=1.0), {}
     for memory in ("stacked", "none"):
         net, rng = network(memory), np.random.default_rng(0)
-        optimizer = Adam(net)
+        optimizer = torch.optim.Adam(net.parameters(), 2e-3, eps=1e-5)
         collector = ppo.Collector(Cue(), net, 1.0, 0, 0)
         for _ in range(16):
             ended = collect(collector, 32)
             episodes = [episode for episode, _ in ended]
-            ppo.update(net, optimizer, 2e-3, episodes, config, rng, OneProcess())
+            ppo.update(net, optimizer, episodes, config, rng)
         paid[memory] = np.mean([info["paid"] for _, info in collect(collector, 256)])
     assert paid["stacked"] > 0.8 and abs(paid["none"]) < 0.3, paid
 
@@ -826,8 +716,8 @@ def test_training_leaves_a_whole_run_folder_and_overwrites_none(runs):
     assert sorted(run.name for run in folder.iterdir()) == ["env1-seed0", "env1-seed0-2"]
     for run, done in zip(sorted(folder.iterdir()), outputs):
         assert sorted(file.name for file in run.iterdir()) == [
-            "checkpoint.pt", "config.json", "curves.png", "episodes.csv", "evaluation.json",
-            "model.pt", "summary.json", "updates.csv"]
+            "checkpoint.pt", "config.json", "curves.png", "env1.toml", "episodes.csv",
+            "evaluation.json", "model.safetensors", "summary.json", "updates.csv"]
         summary = json.loads((run / "summary.json").read_text())
         assert json.loads(done.stdout) == summary and str(run.name) in done.stderr
         assert list(summary) == ["env", "seed", "steps", "episodes", "seconds", "stopped_by_rule",
@@ -839,64 +729,52 @@ def test_training_leaves_a_whole_run_folder_and_overwrites_none(runs):
         assert {row["kind"] for row in rows} == {"training", "new"}
 
 
-def test_the_same_seed_writes_the_same_episodes_byte_for_byte(runs):
-    first, second = [(run / "episodes.csv").read_bytes() for run in sorted(runs[0].iterdir())]
-    assert first == second and len(list(csv.reader(first.decode().splitlines()))) > 20
+def test_the_same_seed_writes_the_same_episodes_and_weights_byte_for_byte(runs):
+    first, second = sorted(runs[0].iterdir())
+    for name in ("episodes.csv", "model.safetensors"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    learned, rooms = load_model(first)
+    assert rooms == [ENV1] and not torch.equal(learned.value.weight, network().value.weight)
 
 
-def test_a_saved_model_is_the_one_that_was_trained(runs):
-    first, second = [load_run(run) for run in sorted(runs[0].iterdir())]
-    assert first[1] == second[1] == [ENV1]
-    fresh = network().state_dict()
-    for name, value in first[0].state_dict().items():
-        assert torch.equal(value, second[0].state_dict()[name])
-    assert not torch.equal(first[0].value.weight, fresh["value.weight"])
+class Rows:
+    """In the place of a RunFolder: keeps the rows of its tables."""
+
+    def __init__(self):
+        self.tables = {"episodes.csv": self, "updates.csv": self}
+        self.episodes, self.updates = [], []
+
+    def add(self, row):
+        (self.episodes if "kind" in row else self.updates).append(row)
+
+    def save_checkpoint(self, state):
+        """Keeps none."""
+
+    def offer_weights(self, model, scenes, now=False):
+        """Keeps none."""
 
 
-def train_on(config, **folder):
-    """A training in env1, done."""
-    training = train.Training(config, [ENV1], OneProcess())
-    train.train(training, **folder)
+def train_on(config):
+    """A training in env1, done, with the rows of its tables in `folder`."""
+    training = train.Training(config, [ENV1])
+    training.folder = Rows()
+    train.train(training)
     return training
 
 
 def test_new_targets_never_reach_an_update(monkeypatch):
     learnt = []
 
-    def spy(model, optimizer, learning_rate, episodes, *_):
+    def spy(model, optimizer, episodes, *_):
         learnt.extend(episode.observations["target"][0, 0].item() for episode in episodes)
         return {}
     monkeypatch.setattr(train, "update", spy)
     config = train.Config(steps=1200, robots=8, episodes_per_update=8, random_starts=0.0)
     training = train_on(config)
-    kinds = {row["kind"] for row in training.record.episodes}
+    kinds = {row["kind"] for row in training.folder.episodes}
     assert kinds == {"training", "new"} and len(learnt) >= 16
     away = [np.hypot(*np.subtract(t, ENV1.start[:2])) for t in ENV1.training_targets]
     assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)  # all from the one start
-
-
-def test_the_share_of_the_robots_that_was_asked_for_drives_in_the_mirrored_room():
-    config = train.Config(robots=8, mirrored=0.25)
-    training = train.Training(config, [ENV1, ENV2], OneProcess())
-    true = [ENV1, ENV2] * 3
-    assert training.env.scenes == true + [mirrored(ENV1), mirrored(ENV2)]
-
-
-def test_a_training_goes_on_from_its_state_as_if_it_had_never_stopped():
-    config = train.Config(steps=4000, robots=8, episodes_per_update=8)
-    whole = train.Training(config, [ENV1], OneProcess())
-    for _ in range(3):
-        whole.collect()
-        whole.learn()
-    state = pickle.loads(pickle.dumps(whole.state()))
-    resumed = train.Training(config, [ENV1], OneProcess())
-    resumed.load_state(state)
-    for _ in range(3):
-        assert [str(info) for info in whole.collect()] == [str(info) for info in resumed.collect()]
-        assert whole.learn() == resumed.learn()
-    assert whole.record.steps == resumed.record.steps > state["record"]["steps"]
-    for one, other in zip(whole.model.parameters(), resumed.model.parameters()):
-        assert torch.equal(one, other)
 
 
 def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
@@ -916,10 +794,10 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
 
 def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers():
     net = network()
-    optimizer = Adam(net)
+    optimizer = torch.optim.Adam(net.parameters())
     config = train.Config(epochs=1, minibatches=1)
     for episodes in (random_episodes([1], seed) * 3 for seed in range(20)):
-        ppo.update(net, optimizer, 1e-3, episodes, config, np.random.default_rng(0), OneProcess())
+        ppo.update(net, optimizer, episodes, config, np.random.default_rng(0))
     config = train.Config(steps=1, robots=200, episodes_per_update=4, random_starts=1.0)
     for weights in (net, train_on(config).model):
         assert all(torch.isfinite(p).all() for p in weights.parameters())
@@ -927,12 +805,11 @@ def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers(
 
 @pytest.mark.parametrize("fixed_budget", [False, True])
 def test_the_rule_stops_at_once_and_in_a_fixed_budget_nothing(fixed_budget, monkeypatch):
-    monkeypatch.setattr(train, "rule_is_met", lambda record: record.steps > 0)
-    config = train.Config(steps=200, robots=8, fixed_budget=fixed_budget)
-    training = train_on(config)
-    rows = training.record.episodes
-    assert training.record.steps == (200 if fixed_budget else rows[0]["steps"])
-    assert (len(rows) == 1) == training.stopped_by_rule() == (not fixed_budget)
+    monkeypatch.setattr(train.Training, "meets_rule", lambda training: training.episodes > 0)
+    training = train_on(train.Config(steps=200, robots=8, fixed_budget=fixed_budget))
+    rows = training.folder.episodes
+    assert training.steps == (200 if fixed_budget else rows[0]["steps"])
+    assert (len(rows) == 1) == training.stops_by_rule() == (not fixed_budget)
 
 
 def test_the_deviation_is_limited_to_its_share_and_never_raised():
@@ -943,103 +820,57 @@ def test_the_deviation_is_limited_to_its_share_and_never_raised():
         assert torch.allclose(net.log_std.exp(), limited)
 
 
-@pytest.mark.parametrize("arrivals, misses, met", [(61, 39, True), (60, 40, False), (99, 0, False)])
+@pytest.mark.parametrize("arrivals, misses, met", [
+    (61, 139, True), (60, 40, False), (99, 0, False)])
 def test_the_rule_is_more_than_60_of_the_last_100_test_episodes(arrivals, misses, met):
-    record = Record()
+    training = train.Training(train.Config(), [ENV1])
     for outcome in ["collision"] * misses + ["arrival"] * arrivals:
-        record.add_episode({"kind": "new", "outcome": outcome})
-        record.add_episode({"kind": "training", "outcome": "arrival"})  # does not count
-    assert train.rule_is_met(record) is met
+        training.record({"kind": "new", "outcome": outcome})
+        training.record({"kind": "training", "outcome": "arrival"})  # does not count
+    assert training.meets_rule() is met
 
 
 def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
-    shares, steps = [], []
-
-    class Folder:
-        def add_row(self, name, row):
-            if name == "updates.csv":
-                steps.append(row["steps"])
+    fractions = []
     monkeypatch.setattr(train, "update", lambda *_: {})
-    monkeypatch.setattr(model.Network, "limit_std", lambda self, share: shares.append(share))
-    train_on(train.Config(steps=2000, fixed_budget=True, episodes_per_update=2, minibatches=1),
-             folder=Folder())
-    assert shares == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
+    monkeypatch.setattr(model.Network, "limit_std", lambda self, share: fractions.append(share))
+    training = train_on(train.Config(steps=2000, fixed_budget=True, robots=16, minibatches=1,
+                                     episodes_per_update=2))
+    steps = [row["steps"] for row in training.folder.updates]
+    assert fractions == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
     assert min(steps) < 1700 and sum(1700 < s < 2000 for s in steps) >= 2
 
 
-
-def bad_call(capsys, main, arguments):
-    """The one line that a bad command line prints."""
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    printed = capsys.readouterr()
-    assert stop.value.code == 2 and printed.out == "" and printed.err.count("\n") == 1
-    return printed.err
-
-
-@pytest.mark.parametrize("arguments, words", [
-    (["--env", "env9"], ["unknown scene 'env9'", "env1, env2"]),
-    (["--sed", "1"], ["unknown argument '--sed'", "the nearest is --seed"]),
-    (["--robots", "0"], ["--robots is 0", "from 1 to 4,096"]),
-    (["--learning-rate", "-0.1"], ["--learning-rate is -0.1", "from 1e-09 to 1.0"]),
-    (["--gamma", "nan"], ["--gamma is nan", "from 0.0 to 1.0"]),
-    (["--memory", "elephant"], ["'elephant'", "'stacked', 'single', 'none'"]),
-    (["--steps", "many"], ["--steps", "'many'"]),
-    (["--minibatches", "65"], ["--minibatches is 65", "at most 64"]),
-    (["--workers", "3"], ["--robots is 64", "multiple of the 3 processes"]),
-    (["--workers", "32"], ["--workers is 32", "at most 16"]),
-    (["--out", "taken"], ["--out 'taken' exists already"]),
-    (["--env", "bad.toml"], ["bad.toml", "new_targets[0]", "cannot be reached"]),
-    (["--env", "broken.toml"], ["broken.toml"])])
-def test_bad_input_to_train_is_one_line_and_leaves_no_folder(arguments, words, capsys, tmp_path,
-                                                             monkeypatch):
+@pytest.mark.parametrize("line, words", [
+    ("--env env9", "unknown scene 'env9': it must be one of env1, env2"),
+    ("--env bad.toml", "new_targets[0]"), ("--out taken", "--out 'taken' exists already"),
+    ("--gamma nan", "--gamma: 'nan' is not a number from 0.0 to 1.0")])
+def test_bad_input_to_train_is_one_line_and_leaves_nothing(line, words, capsys, tmp_path,
+                                                           monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").mkdir()
     text = (ROOT / "scenes" / "env1.toml").read_text()
     (tmp_path / "bad.toml").write_text(text.replace("[[-3.0, -2.2]]", "[[-3.0, 5.0]]"))
-    (tmp_path / "broken.toml").write_text("start = [")
-    printed = bad_call(capsys, train.main, arguments)
-    assert all(word in printed for word in words), printed
-    assert not (tmp_path / "runs").exists() and not list((tmp_path / "taken").iterdir())
-
-
-@pytest.mark.parametrize("arguments, words", [
-    (["--env", "env9"], "unknown scene 'env9'"), (["--en", "env1"], "unknown argument '--en'"),
-    (["--env"], "--env")])
-def test_bad_input_to_the_demo_is_one_line(arguments, words, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert words in bad_call(capsys, navbot_min.main, arguments)
+    assert words in refusal(train.main, line.split(), capsys)
+    assert len([*tmp_path.rglob("*")]) == 2
 
 
 def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
-    code = (f"import sys; sys.path.insert(0, r'{ROOT}'); sys.modules['torch'] = None; "
+    code = (f"import sys, runpy; sys.path.insert(0, r'{ROOT}'); sys.modules['torch'] = None; "
             "import navbot_min; assert 'matplotlib' not in sys.modules; "
-            "navbot_min.main(['--env', 'env2'])")
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
-                          text=True)
+            f"del sys.modules['navbot_min']; runpy.run_path(r'{ROOT}/navbot_min.py', "
+            "run_name='__main__')")
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path,
+                          capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.count("episode ") == 6, done.stderr
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
-def code_lines(source):
-    """How many lines of a program are neither blank nor comment nor docstring."""
-    tree = ast.parse(source)
-    documentation = set()
-    for node in ast.walk(tree):
-        documented = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
-        if documented and ast.get_docstring(node):
-            documentation |= {*range(node.body[0].lineno, node.body[0].end_lineno + 1)}
-    nothing = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
-               tokenize.ENDMARKER)
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    return len({token.start[0] for token in tokens if token.type not in nothing} - documentation)
-
-
 def test_the_lesson_stays_a_lesson():
     sources = {name: (ROOT / name).read_text() for name in LESSON}
-    assert sum(map(code_lines, sources.values())) < 1100
+    assert sum(len(source.splitlines()) for source in sources.values()) < 1600
     for name, source in sources.items():
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.FunctionDef):
-                assert node.end_lineno - node.lineno < 40, (name, node.name)
+                assert node.end_lineno - node.lineno <= 40, (name, node.name)
         assert max(map(len, source.splitlines())) <= 100, name

@@ -1,180 +1,220 @@
-"""Run folders: the files of one training run, none left half-written."""
+"""A run's folder: config, tables, weights and checkpoint. No file is left half-written."""
 
 import csv
-import errno
-import io
+import itertools
 import json
 import os
 import shlex
+import shutil
+import sys
+import time
+import zipfile
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
-from support.interruption import interruption
+import torch
+
+import scenes as scene_files
+from sim import SceneError
+from support import parallel
+from support.cli import program
+from support.rooms import RANDOM, load_rooms
+from support.runs import RunError, write
+from support.weights import FILE, save_model
 
 try:
     import fcntl
 except ImportError:  # on Windows
     fcntl = None
 
-
-PASSING = ("resume", "json")  # options that say nothing about the run
-
-
-class RunError(ValueError):
-    """A run that cannot be used; the message names it and says why."""
+CHECKPOINT = "checkpoint.pt"
+EVERY = 10.0  # [s] from one writing of the newest weights to the next, our choice
+TABLES = ("episodes.csv", "updates.csv")
+OF_A_COMMAND = ("resume", "json")  # options that are not the run's
 
 
-class WriteError(Exception):
-    """A file that cannot be written; the message names it and says why."""
+class Table:
+    """A CSV file that grows row by row."""
 
-    def __init__(self, path, error):
-        super().__init__(f"'{path}' cannot be written: {error.strerror or error}")
+    def __init__(self, path, size):
+        """size: bytes that the file is cut back to; 0 begins it anew."""
+        self.file = open(path, "a+", newline="", buffering=1)  # whole lines can be read at once
+        self.file.seek(self.file.truncate(size))
+        self.writer = csv.writer(self.file)
 
+    def add(self, row):
+        """Adds a row, a dict. Raises OSError."""
+        if self.file.tell() == 0:
+            self.writer.writerow(row)
+        self.writer.writerow(row.values())
 
-def write(path, content, before=None):
-    """A whole file or none, on the disk when this returns: text, bytes, or a function that writes
-    to the binary file it is given. before: the name that the file gets which was there before, if
-    it is to be kept. Raises WriteError."""
-    path = Path(path)
-    if callable(content):
-        file = io.BytesIO()
-        content(file)
-        content = file.getvalue()
-    elif isinstance(content, str):
-        content = f"{content}\n".encode()
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with open(partial, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        if before is not None and path.exists():
-            os.replace(path, path.with_name(before))
-        os.replace(partial, path)
-        if fcntl is not None:  # the folder's own entry, too; Windows does so by itself
-            folder = os.open(path.parent, os.O_RDONLY)
-            os.fsync(folder)
-            os.close(folder)
-    except OSError as error:
-        raise WriteError(path, error) from None
-    finally:
-        try:
-            partial.unlink(missing_ok=True)
-        except OSError:
-            pass  # a folder that cannot be written to any more
+    def size(self):
+        """Returns the bytes of the file, when all of them are on disk."""
+        self.file.flush()
+        os.fsync(self.file.fileno())
+        return self.file.tell()
 
 
-def new_folder(name):
-    """The first of `name`, `name-2`, `name-3` ... that does not exist."""
-    path = Path(name)
-    copy = 1
-    while os.path.lexists(path):
-        copy += 1
-        path = Path(f"{name}-{copy}")
-    return path
+class RunFolder(ExitStack):
+    """The files of one run. Only one program writes to them, until `close`."""
 
-
-class RunFolder:
-    """The folder of a run, and the files in it. Only one program at a time writes to it."""
-
-    def __init__(self, config, record):
-        """Makes the folder `config.out`, or with `config.resume` goes on with it. record: the rows
-        that its tables have by now, `episodes` and `updates`. Raises RunError, WriteError."""
-        self.path = Path(config.out)
-        self._tables = {}  # name -> the open file
-        own = {name: value for name, value in asdict(config).items() if name not in PASSING}
-        text = json.dumps(own, indent=2)
-        try:
-            if not config.resume:
-                self._make(text)
-            self._lock()
-            for partial in self.path.glob(".*.partial"):
-                partial.unlink()  # of a program that was killed while it wrote
-        except OSError as error:
-            raise WriteError(self.path, error) from None
-        self.write("config.json", text)
-        interruption.line = f"interrupted: {how_to_go_on(config)}"  # from here on there is a run
-        self._begin_table("episodes.csv", record.episodes)
-        self._begin_table("updates.csv", record.updates)
-
-    def _make(self, config):
-        """Makes the folder with its config.json in it: where there is a folder, there is a run to
-        go on with."""
-        if os.path.lexists(self.path):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-        hidden = self.path.with_name(f".{self.path.name}.{os.getpid()}")
-        hidden.mkdir(parents=True)
-        write(hidden / "config.json", config)
-        os.rename(hidden, self.path)
-
-    def close(self):
-        """Lets go of the open files, and of the folder."""
-        for file in self._tables.values():
-            file.close()
-        self._tables.clear()
+    def __init__(self, path):
+        """Locks the folder, if its file system has locks. Raises RunError, OSError."""
+        super().__init__()
+        self.path = Path(path)
+        self.tables = {}
+        self._written = time.monotonic()
         if fcntl is not None:
-            os.close(self._descriptor)
+            lock = os.open(self.path, os.O_RDONLY)
+            self.callback(os.close, lock)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RunError(f"run '{path}' is under way in another program") from None
+            except OSError:
+                pass  # this file system has no locks
 
-    def _lock(self):
-        """Takes the folder for this program, until it ends."""
-        if fcntl is None:
-            return
-        self._descriptor = os.open(self.path, os.O_RDONLY)
+    def load_checkpoint(self):
+        """Keeps as `state` what the last stage began with, None before the first checkpoint, and
+        cuts the tables back to it. Nothing in the file is executed. Raises RunError, OSError."""
+        file = self.path / CHECKPOINT
+        saved = {"state": None, "sizes": [0, 0]}
+        if file.exists():
+            try:
+                with zipfile.ZipFile(file) as archive:
+                    if archive.testzip():  # torch itself compares no checksums
+                        raise ValueError
+                saved = torch.load(file, "cpu", weights_only=True)
+            except Exception as error:  # of zipfile, pickle or torch, whatever is wrong with it
+                raise RunError(f"'{file}' is damaged ({type(error).__name__}): the run cannot be "
+                               "resumed, but its weights can be evaluated") from None
+        for name, size in zip(TABLES, saved["sizes"]):
+            self.tables[name] = Table(self.path / name, size)
+            self.callback(self.tables[name].file.close)
+        self.state = saved["state"]
+
+    def save_checkpoint(self, state):
+        """Writes a state, dicts of tensors and numbers. Raises OSError."""
+        content = {"state": state, "sizes": [table.size() for table in self.tables.values()]}
+        write(self.path / CHECKPOINT, lambda file: torch.save(content, file))
+
+    def offer_weights(self, model, scenes, now=False):
+        """Writes the newest weights if the last ones are ten seconds old. Raises OSError."""
+        if now or time.monotonic() - self._written > EVERY:
+            save_model(self.path / FILE, model, scenes)
+            self._written = time.monotonic()
+
+
+def begin_run(config, parser, environment):
+    """Returns a run's config and its Scenes, and makes a new one's folder. environment: the class
+    that it trains in. Invalid input exits. Raises RunError, SceneError, OSError."""
+    if config.resume:
+        config = resumed(config, parser.given)
+    check_config(config, parser)
+    scenes = load_rooms(config)
+    environment.check_rooms(scenes)
+    if parallel.rank() == 0:
+        if not config.resume:
+            make_folder(config, RANDOM if config.env == RANDOM else scenes[0].name)
+            if scene_files.remark(config.env):
+                print(scene_files.remark(config.env), file=sys.stderr)
+        print(f"run folder: {config.out}", file=sys.stderr if config.json else sys.stdout)
+    return config, scenes
+
+
+def make_folder(config, name):
+    """Makes a new run's folder with a copy of the room's file. By default it is the first free one
+    of runs/NAME-seedK, runs/NAME-seedK-2, ..., which becomes `config.out`. Raises RunError."""
+    for copy in itertools.count(1):
+        suffix = f"-{copy}" if copy > 1 else ""
+        path = Path(config.out or f"runs/{name}-seed{config.seed}{suffix}")
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise RunError(f"run '{self.path}' is under way in another program") from None
-
-    def write(self, name, content):
-        """A file of the run, by `write`."""
-        write(self.path / name, content)
-
-    def keep(self, last, before, content):
-        """A file of which there are two: the one that there was becomes `before`."""
-        write(self.path / last, content, before)
-
-    def _begin_table(self, name, rows):
-        """A CSV table that holds these rows, dicts, and no others so far."""
-        if rows:
-            self.write(name, csv_text([rows[0]] + [row.values() for row in rows]).encode())
-        else:
-            (self.path / name).unlink(missing_ok=True)
-
-    def add_row(self, name, row):
-        """One more row, a dict, of a CSV table. Raises WriteError."""
-        path = self.path / name
-        try:
-            if name not in self._tables:
-                # Unbuffered: what does not fit on the disk is known at once, and nothing is left
-                # to be written when the program ends.
-                self._tables[name] = open(path, "ab", buffering=0)
-            file = self._tables[name]
-            size = file.tell()
-            text = csv_text(([] if size else [row]) + [row.values()]).encode()
-            if file.write(text) < len(text):
-                file.truncate(size)
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            path.mkdir(parents=True)  # it fails if another program was faster
+            break
+        except FileExistsError:
+            if config.out:
+                raise RunError(f"--out '{path}' exists already, it must name a new folder")
         except OSError as error:
-            raise WriteError(path, error) from None
+            raise RunError(f"folder '{path}' cannot be made: {error.strerror}")
+    config.out = str(path)
+    file = scene_files.find(config.env)
+    if file is not None:
+        shutil.copy(file, path)
 
 
-def how_to_go_on(config):
-    """What is said where a run is cut."""
-    return f"go on with python train.py --resume {shlex.quote(config.out)}"
+def open_folder(config):
+    """Returns the RunFolder of a run, for a `with`, and writes its config; in all processes except
+    the first, returns a stand-in for None. Raises RunError, OSError."""
+    if parallel.rank() > 0:
+        return nullcontext()
+    folder = RunFolder(config.out)
+    folder.load_checkpoint()
+    kept = {name: value for name, value in asdict(config).items() if name not in OF_A_COMMAND}
+    write(folder.path / "config.json", json.dumps(kept, indent=2))
+    if config.resume and not folder.state:
+        print("there is no checkpoint yet: the run begins again", file=sys.stderr)
+    return folder
 
 
-def csv_text(rows):
-    """Those rows as CSV."""
-    text = io.StringIO()
-    csv.writer(text).writerows(rows)
-    return text.getvalue()
+@contextmanager
+def report_errors(config, parser):
+    """Ends the program with one sentence if a run cannot begin or is cut short."""
+    try:
+        yield
+    except (SceneError, RunError) as error:
+        parser.error(error)
+    except (KeyboardInterrupt, OSError, FloatingPointError, parallel.ProcessLost) as error:
+        folder = config.out or config.resume
+        begun = Path(folder, "config.json").exists()
+        then = f"resume with {program()} --resume {shlex.quote(folder)}" if begun else "not begun"
+        if not isinstance(error, KeyboardInterrupt):
+            sys.exit(f"\nerror: {error}; {then}")
+        print(f"\ninterrupted; {then}", file=sys.stderr)
+        sys.exit(130)  # as shells report a program that Ctrl-C ended
 
 
-class NoFolder:
-    """What a process writes to that leaves the run folder to another one: nothing."""
+def resumed(config, given):
+    """Returns the config of the run that `config.resume` names, with what this command line may
+    change. given: names of the options on it. Raises RunError."""
+    path = Path(config.resume)
+    try:
+        own = json.loads((path / "config.json").read_text(encoding="utf-8"))
+        changed = {"resume": config.resume, "json": config.json, "out": str(path)}
+        kinds = {name: type(value) for name, value in (own | changed).items()}
+        if kinds != {name: type(value) for name, value in asdict(config).items()}:
+            raise ValueError  # of another program, or edited
+        run = type(config)(**own | changed)
+    except (FileNotFoundError, NotADirectoryError):
+        raise RunError(f"--resume '{path}' is not a run's folder: it has no config.json") from None
+    except (OSError, ValueError, TypeError):
+        raise RunError(f"'{path / 'config.json'}' holds no config of {program()}: a run resumes by "
+                       "the program that began it") from None
+    for name in given.difference(OF_A_COMMAND):
+        value = getattr(config, name)
+        if name == "steps" and value < run.steps:
+            raise RunError(f"--steps is {value}, it must be at least {run.steps}, as run '{path}' "
+                           "was begun with")
+        if name in ("steps", "device"):
+            setattr(run, name, value)
+        elif value != own[name]:
+            raise RunError(f"--{name.replace('_', '-')} is {value}, but run '{path}' was begun "
+                           f"with {own[name]!r}: leave it out")
+    return run
 
-    def keep(self, last, before, content):
-        """Writes nothing."""
 
-    def add_row(self, name, row):
-        """Writes nothing."""
+def check_config(config, parser):
+    """Exits if options contradict one another. Sets `config.workers` if it is 0."""
+    if config.env == RANDOM and "targets" not in parser.given:
+        config.targets = "anywhere"
+    if config.env == RANDOM and config.targets != "anywhere":
+        parser.error(f"--targets is {config.targets}, with --env {RANDOM} it must be anywhere")
+    for name, other, needed in (("rooms", "env", RANDOM), ("mirrored", "targets", "both"),
+                                ("random_starts", "targets", "both")):
+        if name in parser.given and getattr(config, other) != needed:
+            parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it has an effect "
+                         f"only with --{other} {needed}: leave it out")
+    if config.minibatches > config.episodes_per_update:
+        parser.error(f"--minibatches is {config.minibatches}, it must be at most "
+                     f"{config.episodes_per_update}, the episodes of an update")
+    parallel.check_processes(config, parser)

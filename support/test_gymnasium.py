@@ -1,21 +1,24 @@
-"""Gymnasium's own wrappers take our environments. Each test is one of them, as people use it."""
+"""Each test is the shortest proof of one claim about Gymnasium: what its wrappers, and other
+libraries that are made for it, expect of our environments."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from gymnasium import wrappers
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as vector_wrappers
-from moviepy import VideoFileClip
 
-from navbot_min import TIMEOUT, NavVecEnv
+import scenes
+from navbot_min import TIMEOUT, NavEnv, NavVecEnv
+from scenes.test_scenes import square_room
 
 ID = "navbot_min:NavBot-env1-v0"
 STILL = np.zeros(2)
 
 
 def drive(env, action):
-    """Steps to the end of an episode; returns how many, and the last info."""
+    """Steps to the end of an episode; returns its length, and the last info."""
     env.reset(seed=0)
     length = 0
     over = False
@@ -26,46 +29,47 @@ def drive(env, action):
     return length, info
 
 
-def test_a_video_has_a_frame_for_every_step_and_the_first_sight(tmp_path):
-    env = wrappers.RecordVideo(gym.make(ID, render_mode="rgb_array", max_episode_steps=12),
-                               tmp_path / "films", disable_logger=True)
-    length, _ = drive(env, STILL)
-    env.close()
-    video, = tmp_path.glob("films/*.mp4")
-    with VideoFileClip(str(video)) as clip:
-        frames = list(clip.iter_frames())
-        assert clip.fps == env.metadata["render_fps"] and len(frames) == length + 1 == 13
-
-
-def test_pictures_can_be_observed_and_shown_in_pygames_window(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = wrappers.AddRenderObservation(gym.make(ID, render_mode="rgb_array"), render_only=True)
-    picture, _ = env.reset(seed=0)
-    assert env.observation_space.contains(picture) and (picture == env.unwrapped.render()).all()
-    shown = wrappers.HumanRendering(gym.make(ID, render_mode="rgb_array"))
-    shown.reset(seed=0)
-    shown.step(STILL)
-    assert shown.screen_size == picture.shape[1::-1]
-    shown.close()
-
-
-def test_statistics_of_episodes_are_ours():
+def test_statistics_of_episodes_are_ours_as_tensors_too():
     env = wrappers.RecordEpisodeStatistics(gym.make(ID, max_episode_steps=9))
     length, info = drive(env, STILL)
     assert info["episode"]["l"] == length == 9
     assert info["episode"]["r"] == pytest.approx(info["return"], abs=1e-4)
     many = vector_wrappers.RecordEpisodeStatistics(NavVecEnv(3, max_episode_steps=9))
-    _, infos = drive(many, np.zeros((3, 2)))
+    _, infos = drive(vector_wrappers.NumpyToTorch(many), torch.zeros(3, 2))
     assert (infos["episode"]["l"] == 9).all()
-    assert infos["episode"]["r"] == pytest.approx(infos["final_info"]["return"], abs=1e-4)
+    assert torch.allclose(infos["episode"]["r"].double(), infos["final_info"]["return"], atol=1e-4)
+    assert torch.equal(infos["final_info"]["outcome"], torch.tensor([TIMEOUT] * 3))
 
 
-@pytest.mark.parametrize("make", [
-    lambda: NavVecEnv(2, max_episode_steps=4),
-    lambda: gym.make_vec(ID, num_envs=2, max_episode_steps=4)])
-def test_tensors_come_out_of_numpy_to_torch_at_an_episodes_end_too(make):
-    env = vector_wrappers.NumpyToTorch(make())
-    length, infos = drive(env, torch.zeros(2, 2))
-    assert length == 4
-    figures = infos.get("final_info", infos)
-    assert torch.equal(figures["outcome"], torch.tensor([TIMEOUT, TIMEOUT]))
+def test_info_has_the_same_keys_and_types_always_and_tells_an_arrival_from_a_collision():
+    room = scenes.parse(square_room(training_targets=[[0.5, 0.0], [-1.0, 0.0]]), "room")
+    env = NavEnv([room])
+    for target, expected in ((0, True), (1, False)):  # ahead, and behind: into the wall
+        infos = [env.reset(seed=0, options={"target": target})[1]]
+        over = False
+        while not over:
+            _, _, over, _, info = env.step([1.0, 0.0])
+            assert info["is_success"] is (over and expected)
+            infos.append(info)
+        kinds = [{key: type(value) for key, value in info.items()} for info in infos]
+        assert kinds == [kinds[0]] * len(infos)
+        assert [info["length"] for info in infos] == list(range(len(infos)))
+
+
+def test_rooms_have_one_observation_space_so_that_they_can_be_vectorised_together():
+    largest = scenes.parse(square_room(14.0), "the largest room")
+    single = [NavEnv([room]) for room in ("env1", "maze3", "random:3", largest)]
+    many = SyncVectorEnv([lambda env=env: env for env in single],  # it compares their spaces
+                         autoreset_mode=AutoresetMode.SAME_STEP)
+    observations, _ = many.reset(seed=0)
+    assert many.observation_space.contains(observations)
+
+
+def test_a_generator_that_you_set_draws_the_episodes():
+    first, second = NavEnv(targets="anywhere"), NavEnv(targets="anywhere")
+    for env, seed in ((first, 1), (second, 2)):
+        env.reset(seed=seed)
+        env.np_random = np.random.default_rng(5)
+    one, _ = first.reset()
+    other, _ = second.reset()
+    assert (one["image"] == other["image"]).all() and (one["target"] == other["target"]).all()

@@ -1,7 +1,5 @@
 """Drives episodes: the one loop behind evaluation, film and demo, and what it keeps of them.
-
-Axis letters: R robots, T steps of an episode, H = 48 and W = 64 image rows and columns.
-"""
+R robots, T steps of an episode, H = 48 and W = 64 image rows and columns."""
 
 from dataclasses import dataclass
 
@@ -10,119 +8,61 @@ from tqdm import tqdm
 
 from sim import CONTROL_PERIOD, Scene, wrap_angle
 
-OUTCOMES = ("arrival", "collision", "timeout", "standing")  # as the environment numbers them
-
 
 @dataclass(eq=False)
 class Trace:
     """One whole episode. Step t leads from pose and image t to pose and image t + 1."""
     scene: Scene
-    target: int  # index into scene.targets; without meaning where episodes lead anywhere
-    new: bool  # whether that target is for tests alone
+    target: int  # index into scene.targets; without meaning if episodes lead anywhere
+    new: bool  # whether that target is only for tests
     goal: np.ndarray  # (2,) [m]
     poses: np.ndarray  # (T + 1, 3) [m, m, rad]
     commands: np.ndarray  # (T, 2) [m/s, rad/s] as executed
     rewards: np.ndarray  # (T,)
-    outcome: str  # one of OUTCOMES
-    images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, where they were asked for
+    outcome: str  # one of the environment's `outcomes`
+    images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, if they were asked for
     thoughts: dict | None = None  # of (T, ...) arrays, what the driver kept in its `thoughts`
     stops: int = 0  # periods in which the ring's sensors refused to drive on
-    label: str = ""  # what a film says of the episode
+    label: str = ""  # words below its film
+
+    def __post_init__(self):
+        self.start = self.poses[0]
+        self.seconds = len(self.commands) * CONTROL_PERIOD
+        # A collision stops the robot earlier than its last command says.
+        self.metres = float(self.commands[:, 0].sum() * CONTROL_PERIOD)
+        self.arrived = self.outcome == "arrival"
 
     def __str__(self):
         kind = "new" if self.new else "training"
         return (f"{kind} target {tuple(self.goal.tolist())}: {self.outcome} after "
-                f"{self.seconds:.1f} s, return {self.total_reward:.1f}")
-
-    @property
-    def start(self):
-        """The first pose (3,)."""
-        return self.poses[0]
-
-    @property
-    def metres(self):
-        """The way driven [m], as commanded: in a collision the robot stops a little earlier."""
-        return float(self.commands[:, 0].sum() * CONTROL_PERIOD)
-
-    @property
-    def seconds(self):
-        """How long the episode took [s]."""
-        return len(self.commands) * CONTROL_PERIOD
-
-    @property
-    def arrived(self):
-        """Whether the robot reached its goal."""
-        return self.outcome == "arrival"
-
-    @property
-    def total_reward(self):
-        """The episode's return, not discounted."""
-        return float(self.rewards.sum())
+                f"{self.seconds:.1f} s, return {self.rewards.sum():.1f}")
 
 
-class Recording:
-    """What is kept of robot r's episode while it is under way."""
-
-    def __init__(self, env, r, observations, images):
-        """observations: what the robots see as the episode begins. images: whether to keep them."""
-        x, y, theta = env.starts[r]
-        self.r = r
-        self.scene = env.scenes[env.scene_of[r]]
-        self.goal = env.goals[r].copy()
-        self.poses = [np.array([x, y, wrap_angle(theta)])]
-        self.commands = []
-        self.rewards = []
-        self.thoughts = []
-        self.images = None
-        if images:
-            self.images = [observations["image"][r].copy()]
-
-    def add(self, observations, rewards, done, infos, thoughts):
-        """One step, as the environment returns it. done: (R,) whether episodes ended by it.
-        thoughts: of (R, ...) arrays, the driver's as it chose that step."""
-        r = self.r
-        self.thoughts.append({name: value[r].copy() for name, value in thoughts.items()})
-        self.poses.append(infos["pose"][r].copy())
-        self.commands.append(infos["command"][r].copy())
-        self.rewards.append(rewards[r])
-        if self.images is None:
-            return
-        if done[r]:  # the observations are those of the next episode already
-            self.images.append(infos["final_obs"]["image"][r].copy())
-        else:
-            self.images.append(observations["image"][r].copy())
-
-    def trace(self, final_info):
-        """The Trace of the episode, which has ended."""
-        return Trace(
-            scene=self.scene,
-            target=int(final_info["target_index"][self.r]),
-            new=bool(final_info["new"][self.r]),
-            goal=self.goal,
-            poses=np.array(self.poses),
-            commands=np.array(self.commands),
-            rewards=np.array(self.rewards),
-            outcome=OUTCOMES[final_info["outcome"][self.r]],
-            images=None if self.images is None else np.array(self.images),
-            thoughts={name: np.array([step[name] for step in self.thoughts])
-                      for name in self.thoughts[0]} or None,
-            stops=int(final_info["stops"][self.r]) if "stops" in final_info else 0)
+def trace_of(env, r, steps, infos, images):
+    """Returns the Trace of robot r's episode, which has just ended. steps: dicts of (R, ...)."""
+    columns = {name: np.array([step[name][r] for step in steps]) for name in steps[0]}
+    final = {name: value[r] for name, value in infos["final_info"].items()}
+    x, y, theta = columns.pop("start")[0]
+    return Trace(scene=env.scenes[env.scene_of[r]], target=int(final["target_index"]),
+                 new=bool(final["new"]), goal=columns.pop("goal")[0],
+                 poses=np.array([(x, y, wrap_angle(theta)), *columns.pop("pose")]),
+                 commands=columns.pop("command"), rewards=columns.pop("reward"),
+                 outcome=env.outcomes[final["outcome"]],
+                 images=np.array([*columns.pop("image"), infos["final_obs"]["image"][r]])
+                 if images else None,
+                 stops=int(final.get("stops", 0)), thoughts=columns or None)
 
 
 class TurnToTarget:
     """The demo's driver: turns to the target, and drives when it is ahead. Blind to walls."""
 
-    label = "turn to the target and go"
-
     def reset(self, env, robots):
-        """Remembers nothing, so an episode's start changes nothing."""
+        """Remembers nothing."""
 
     def act(self, env, observations):
-        """Actions (R, 2) from what the robots see."""
+        """Returns actions (R, 2)."""
         bearing = observations["target"][:, 1]
-        linear = np.maximum(np.cos(bearing), 0)
-        angular = np.clip(2 * bearing, -1, 1)
-        return np.stack([linear, angular], -1)
+        return np.stack([np.maximum(np.cos(bearing), 0), np.clip(2 * bearing, -1, 1)], -1)
 
 
 def drive(driver, env, quota, seed=0, images=False):
@@ -131,36 +71,35 @@ def drive(driver, env, quota, seed=0, images=False):
 
     driver: has `reset(env, robots)`, called with the indices of robots whose episodes begin, and
     `act(env, observations)`, which returns actions (R, 2); and may have `thoughts`, a dict of
-    (R, ...) arrays that are worth keeping of its last `act`. env: a NavVecEnv. quota: (R,) how many
-    episodes count, of each robot its first ones. seed: of the environment's random numbers.
-    images: whether to keep what the camera saw. Raises ValueError for a quota of another shape.
+    (R, ...) arrays that are worth keeping of its last `act`. quota: how many episodes count, of
+    each robot its first ones; (R,), or one for all. images: whether to keep what the camera saw.
 
     Which episodes count is fixed before they start: counting the first n that end would favour
     short ones, the collisions. A robot that has its quota drives on, and nothing of it is kept.
     """
-    left = np.array(quota)  # (R,) episodes that are still to come
-    if left.shape != (env.num_envs,):
-        raise ValueError(f"quota has shape {left.shape}, it must be ({env.num_envs},): a number of "
-                         "episodes for each robot")
+    left = np.broadcast_to(quota, env.num_envs).copy()  # (R,) episodes that are still to come
     observations, _ = env.reset(seed=seed)
     driver.reset(env, np.arange(env.num_envs))
-    under_way = {}  # robot -> the Recording of its episode
-    for r in np.flatnonzero(left):
-        under_way[r] = Recording(env, r, observations, images)
+    under_way = {r: [] for r in np.flatnonzero(left)}  # robot -> the steps of its episode
     traces = []
     bar = tqdm(total=left.sum(), unit=" episodes", leave=False, disable=None)
     while under_way:
+        step = {"start": env.starts.copy(), "goal": env.goals.copy()}
+        if images:
+            step["image"] = observations["image"].copy()
         actions = driver.act(env, observations)
+        step |= {name: value.copy() for name, value in getattr(driver, "thoughts", {}).items()}
         observations, rewards, terminated, truncated, infos = env.step(actions)
+        step |= {"pose": infos["pose"], "command": infos["command"], "reward": rewards}
+        for steps in under_way.values():
+            steps.append(step)  # one dict for all of them
         done = terminated | truncated
-        for recording in under_way.values():
-            recording.add(observations, rewards, done, infos, getattr(driver, "thoughts", {}))
         for r in np.flatnonzero(done & (left > 0)):
-            traces.append(under_way.pop(r).trace(infos["final_info"]))
+            traces.append(trace_of(env, r, under_way.pop(r), infos, images))
             bar.update()
             left[r] -= 1
             if left[r] > 0:
-                under_way[r] = Recording(env, r, observations, images)
+                under_way[r] = []
         if done.any():
             driver.reset(env, np.flatnonzero(done))
     bar.close()

@@ -1,0 +1,86 @@
+"""A command line made from a dataclass. An error is one sentence, and exit code 2."""
+
+import argparse
+import math
+import os
+import sys
+from dataclasses import field, fields
+from functools import partial
+from io import TextIOWrapper
+
+
+def option(default, text, low=-math.inf, high=math.inf, choices=(), positional=False):
+    """A dataclass field that is a command line option: its help text and its valid values. A
+    number's range includes both ends. positional: it is given without a flag."""
+    about = dict(text=text, low=low, high=high, choices=choices, positional=positional)
+    return field(default=default, metadata=about)
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser that reports an error without the usage message."""
+
+    def error(self, message):
+        """Prints a message, or an exception that holds one, and exits with code 2."""
+        self.exit(2, f"error: {message}\n")
+
+
+def parse(config_class, description, argv=None):
+    """Reads the command line: `--learning-rate 1e-3` sets the field `learning_rate`. Returns an
+    instance of the dataclass and the Parser, for later errors. Invalid input exits."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if type(stream) is TextIOWrapper:  # not captured by a test or a notebook, nor done before
+            setattr(sys, name, Output(stream.buffer, stream.encoding, "backslashreplace"))
+    parser = Parser(prog=program(), description=description, allow_abbrev=False,
+                    argument_default=argparse.SUPPRESS)
+    for item in fields(config_class):
+        text = item.metadata["text"].replace("%", "%%")
+        if item.type is not bool and item.default != "":
+            text += f" (default: {item.default})"
+        flag = f"--{item.name.replace('_', '-')}"
+        if item.metadata["positional"]:
+            parser.add_argument(item.name, nargs="?", metavar=item.name.upper(), help=text)
+        elif item.type is bool:
+            parser.add_argument(flag, action="store_true", help=text)
+        elif item.type is str:
+            choices = [choice for choice in item.metadata["choices"] if choice] or None
+            parser.add_argument(flag, choices=choices, help=text)
+        else:
+            parser.add_argument(flag, type=partial(number, item), help=text,
+                                metavar="N" if item.type is int else "X")
+    given = vars(parser.parse_intermixed_args(argv))
+    parser.given = set(given)  # names of the fields that were on the command line
+    return config_class(**given), parser
+
+
+def number(item, word):
+    """Returns the number that a word means for a dataclass field. Raises ArgumentTypeError."""
+    low, high = item.metadata["low"], item.metadata["high"]
+    try:
+        value = item.type(word)
+    except ValueError:
+        value = math.nan  # it is in no range
+    if not low <= value <= high:
+        valid = "a whole number" if item.type is int else "a number"
+        valid += f" of at least {low:,}" if high == math.inf else f" from {low:,} to {high:,}"
+        raise argparse.ArgumentTypeError(f"'{word}' is not {valid}")
+    return value
+
+
+def program():
+    """Returns how this program was started: `python train.py` or `python -m evaluation`."""
+    module = sys.modules["__main__"].__spec__
+    return (f"python -m {module.name.removesuffix('.__main__')}" if module else
+            f"python {os.path.basename(sys.argv[0])}")
+
+
+class Output(TextIOWrapper):
+    """A text stream that drops what it cannot write: a reader such as `head` may be gone."""
+
+    def write(self, text):
+        try:
+            super().write(text)
+            self.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+        return len(text)

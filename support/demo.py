@@ -1,0 +1,27 @@
+"""The demonstration of `python navbot_min.py`: a robot drives by a simple rule, without torch."""
+
+from dataclasses import dataclass
+
+from sim import SceneError
+from support.cli import option, parse
+from support.pictures import draw_demo, save
+from support.traces import TurnToTarget, drive
+
+
+@dataclass
+class Options:
+    """A demonstration."""
+    env: str = option("env1", "a room's name or file")
+
+
+def main(environment, argv=None):
+    """Drives six episodes and draws them to demo.png. environment: the class NavVecEnv."""
+    options, parser = parse(Options, "Drive a robot by the rule 'turn to the target and go'.", argv)
+    try:
+        traces = drive(TurnToTarget(), environment(1, [options.env]), quota=[6], images=True)
+        for k, trace in enumerate(traces):
+            print(f"episode {k + 1}: {trace}")
+        save(draw_demo(traces[0].scene, traces), "demo.png")
+        print("wrote demo.png: the map with the paths, and what the camera saw")
+    except (SceneError, OSError) as error:
+        parser.error(error)

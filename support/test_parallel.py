@@ -1,0 +1,100 @@
+"""Each test is the shortest proof of one claim about processes that share the work."""
+
+import os
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+import train
+from model import make_network
+from ppo import Episode, update
+from support import cli, parallel
+from support.parallel import ProcessLost, gather, in_processes, run_together, total
+
+LENGTHS = (3, 9, 5, 1, 7, 12, 4, 2)
+BEHIND = 3  # of these episodes, those of a second process
+CONFIG = SimpleNamespace(epochs=1, minibatches=1, gamma=0.99, lam=0.95, clip=0.2)
+
+
+def make_episodes():
+    """Returns episodes of these lengths, the same ones each time."""
+    rng = np.random.default_rng(0)
+    return [Episode({"image": rng.integers(0, 256, (T, 48, 64, 3), np.uint8),
+                     "target": rng.normal(size=(T, 2)).astype(np.float32),
+                     "velocity": rng.normal(size=(T, 2)).astype(np.float32),
+                     "last_reward": rng.normal(size=(T, 1)).astype(np.float32)},
+                    *rng.normal(size=(1, T, 2)).astype(np.float32),
+                    *rng.normal(size=(3, T)).astype(np.float32), last_value=0.5)
+            for T in LENGTHS]
+
+
+def gradient_of(episodes):
+    """Returns the gradient of one update, and its statistics."""
+    model = make_network(0)
+    optimizer = torch.optim.SGD(model.parameters(), 1.0)
+    before = torch.cat([value.detach().flatten() for value in model.parameters()])
+    statistics = update(model, optimizer, episodes, CONFIG, np.random.default_rng(0), total)
+    after = torch.cat([value.detach().flatten() for value in model.parameters()])
+    return (before - after).numpy(), statistics
+
+
+def learn_together(config):
+    """Returns what each process learns from its own episodes."""
+    episodes = make_episodes()
+    own = episodes[BEHIND:] if parallel.rank() == 0 else episodes[:BEHIND]
+    return gather(gradient_of(own))
+
+
+def test_processes_learn_together_what_one_learns_from_all_their_episodes():
+    (first, statistics), (second, _) = run_together(learn_together, train.Config(workers=2))
+    alone, expected = gradient_of(make_episodes())
+    assert (first == second).all()  # to the last bit
+    assert np.abs(first - alone).max() < 1e-4 * np.abs(alone).max()
+    assert statistics == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+def lose_the_second(config):
+    """Ends one process without a word, and waits for it in the other."""
+    if parallel.rank() == 1:
+        os._exit(9)
+    total(torch.zeros(1))
+
+
+def test_a_lost_process_is_one_sentence():
+    with pytest.raises(ProcessLost, match="^another process of this training has ended"):
+        run_together(lose_the_second, train.Config(workers=2))
+
+
+def power(base, exponent):
+    """Returns a power, or ends the process."""
+    if base < 0:
+        os._exit(9)
+    return base ** exponent
+
+
+def test_jobs_of_several_processes_come_back_as_from_a_loop():
+    jobs = [(base, 2) for base in range(7)]
+    assert list(in_processes(power, jobs, 2)) == [power(*job) for job in jobs]
+    assert list(in_processes(power, jobs, 1)) == [power(*job) for job in jobs]
+    with pytest.raises(ProcessLost, match="^a process that shares the work has ended"):
+        list(in_processes(power, [(1, 2), (-1, 2)], 2))
+
+
+def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
+    """Returns the processes that a training gets, on a machine with a GPU."""
+    monkeypatch.setattr(parallel, "available_cores", lambda: cores)
+    monkeypatch.setattr(parallel, "has_gloo", lambda: gloo)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setenv("WORLD_SIZE", str(torchrun))
+    config = train.Config(**options)
+    parallel.check_processes(config, cli.Parser())
+    return config.workers
+
+
+@pytest.mark.parametrize("expected, options", [
+    (2, dict(cores=2)), (4, dict()), (1, dict(robots=3)), (1, dict(device="cuda")),
+    (8, dict(torchrun=8)), (5, dict(workers=5)), (1, dict(gloo=False, workers=2))])
+def test_there_is_a_process_for_every_core_up_to_four(expected, options, monkeypatch):
+    assert check(monkeypatch, **options) == expected
