@@ -1,15 +1,5 @@
-"""The command line: `python -m evaluation runs/env1-seed0` examines a run's frozen policy,
-`python -m evaluation --planner bug` a planner.
-
-It prints what it measures, and writes it as `evaluation.json`, with the driven paths as
-`trajectories.png`, success by place as `floor.png`, and one episode as `episode.gif`: into the
-run's folder, else into a folder of `evaluations`.
-"""
-
-from support.interruption import interruption
-
-if __name__ == "__main__":
-    interruption.handle()  # before torch is loaded: Ctrl-C is one line from the beginning
+"""The command line: `python -m evaluation runs/env1-seed0` evaluates a run's frozen policy,
+`--planner bug` a planner. It writes into the run's folder, or else into one of `evaluations`."""
 
 import json
 import sys
@@ -21,13 +11,10 @@ import scenes
 from evaluation.drivers import Planned, Policy
 from evaluation.examine import conditions, evaluate, film_episode, table
 from evaluation.planners import PLANNERS
-from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS, protocol_scenes
-from robot.environment import environment_of
-from sim import SceneError
-from support.command_line import CommandLine, option
-from support.cores import ProcessLost, available_cores, one_thread
-from support.run_folder import RunError, WriteError, write
-from support.weights import load_run
+from evaluation.protocols import HIDDEN, PATCH, PROTOCOLS
+from navbot_min import NavVecEnv
+from support.cli import option, parse
+from support.runs import ProcessLost, write
 
 MOST_DRAWN = 4  # scenes of a run whose paths are drawn
 
@@ -35,178 +22,130 @@ MOST_DRAWN = 4  # scenes of a run whose paths are drawn
 @dataclass
 class Options:
     """An evaluation."""
-    run: str = option("", "whose policy drives: a run's folder such as runs/env1-seed0, or a file "
-                      "of weights such as pretrained/env1.pt; by default none, then --planner says "
-                      "who drives", positional=True)
-    planner: str = option("", "a planner drives, not a run's policy; by default none",
-                          choices=["", *PLANNERS])
-    env: str = option("", "another room to drive in: its name, a path (.toml, .world) or random:7; "
-                      "by default the run's own, for a planner env1")
-    protocol: str = option("", "where episodes start and lead; by default start, for a run of "
-                           "level 3 anywhere", choices=["", *PROTOCOLS])
-    hide: str = option("", "what the policy is not shown of its target: its place, its cube or "
-                       "both; by default it is shown all", choices=HIDDEN)
-    ring: bool = option(False, "the robot's ultrasonic sensors stop it")
-    episodes: int = option(1000, "episodes to targets of each kind, with anywhere in all", 1,
-                           10 ** 5)
-    seed: int = option(0, "what all random numbers come from: another one, other episodes", 0)
-    workers: int = option(0, "processes that share the episodes; by default 0: one for each core",
-                          0, 64)
-    replay: bool = option(False, "write replay.html, too: episodes to watch in a browser, with "
-                          "what goes on in the network")
-    json: bool = option(False, "print the evaluation alone, as JSON, on standard output")
+    run: str = option("", "the policy: a run's folder such as runs/env1-seed0, or a file of "
+                      "weights such as pretrained/env1.safetensors", positional=True)
+    planner: str = option("", "a planner drives instead of a policy", choices=PLANNERS)
+    env: str = option("", "a room's name, path or random:7; by default the run's own or env1")
+    protocol: str = option("", "by default start, for level 3 anywhere", choices=PROTOCOLS)
+    hide: str = option("", "what the policy is not shown of its target", choices=HIDDEN)
+    episodes: int = option(1000, "to targets of each kind; with anywhere, in all", 1, 10 ** 5)
+    seed: int = option(0, "the source of all random numbers", 0)
+    workers: int = option(0, "processes of a policy's episodes; 0: one for each core", 0, 64)
+    replay: bool = option(False, "also write replay.html: episodes and the network's activity")
+    json: bool = option(False, "print only the evaluation, as JSON")
 
 
-@dataclass
+def in_simulation(scenes, options):
+    """Returns the class of environment to drive in, and the addition to the files' names."""
+    return NavVecEnv, ""
+
+
 class Examination:
-    """Who is examined where, and where the results go."""
-    name: str
-    driver: object
-    actions: str  # as evaluation.json names them
-    scenes: list  # of Scenes, without what a protocol changes
-    folder: Path
-    suffix: str  # of the files' names
-    environment: type  # NavVecEnv or a subclass of it
+    """The driver, the rooms and the files of one evaluation. Raises RunError, SceneError."""
 
+    def __init__(self, options, choose_environment):
+        self.options = options
+        config = Path(options.run, "config.json")
+        run = json.loads(config.read_text()) if options.run and config.exists() else {}
+        own = "anywhere" if run.get("targets") == "anywhere" else "start"
+        options.protocol = options.protocol or own
+        if options.planner:
+            self.name = options.planner
+            self.actions = options.planner
+            self.driver = Planned(options.planner, options.seed)
+            self.scenes = [scenes.load("env1")]
+        else:
+            import torch  # here, because planners do without it
+            from support.weights import load_model
+            torch.set_num_threads(1)  # torch's own threads spin while they wait for each other
+            self.name = Path(options.run).stem
+            model, self.scenes = load_model(options.run)
+            # From the one start pose all episodes of deterministic actions would be the same.
+            sampled = options.protocol in ("start", "validation")
+            self.actions = "sampled" if sampled else "mean"
+            self.driver = Policy(model, self.actions, options.seed)
+        if options.env:
+            self.scenes = [scenes.load(options.env)]
+        self.environment, suffix = choose_environment(self.scenes, options)
+        self.environment.check_rooms(self.scenes)
+        if options.hide:
+            suffix = f"-hidden-{options.hide}{suffix}"
+        # `evaluation.json` in a run's folder is training's own; at level 3 no other replaces it.
+        if not options.protocol == own == "start":
+            suffix = f"-{options.protocol}{suffix}"
+        place = f"-{self.scenes[0].name}" if options.env or options.planner else ""
+        in_run = options.run and Path(options.run).is_dir()
+        self.folder = Path(options.run) if in_run else Path("evaluations", self.name + place)
+        self.suffix = place + suffix if in_run else suffix
 
-def own_protocol(run):
-    """The protocol of the task that a run's folder was trained for; without one, `start`."""
-    try:
-        config = json.loads((run / "config.json").read_text(encoding="utf-8"))
-        return "anywhere" if config["targets"] == "anywhere" else "start"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return "start"  # a file of weights, say
+    def path(self, name, which=""):
+        """Returns the path of a result; `floor.png` becomes `FOLDER/floor-anywhere.png`."""
+        stem, _, kind = name.partition(".")
+        return self.folder / f"{stem}{self.suffix}{which}.{kind}"
 
-
-def prepare(run, options):
-    """The Examination of a run, a folder or a .pt file, or where that is None of a planner. Raises
-    RunError, SceneError."""
-    own = own_protocol(run)
-    options.protocol = options.protocol or own
-    if run is None:
-        chosen = [scenes.load("env1")]
-        actions = options.planner
-        driver = Planned(options.planner, options.seed)
-        name = options.planner
-    else:
-        one_thread()
-        model, chosen = load_run(run)
-        # From the one start pose all episodes of deterministic actions would be the same.
-        actions = "sampled" if options.protocol in ("start", "validation") else "mean"
-        driver = Policy(model, actions, options.seed)
-        name = run.stem
-    if options.env:
-        chosen = [scenes.load(options.env)]
-    protocol_scenes(options.protocol, chosen)  # whatever it raises, before anything is driven
-    place = f"-{chosen[0].name}" if options.env or run is None else ""
-    # `evaluation.json` in a run's folder is training's own; at level 3 no other takes its place.
-    suffix = "" if options.protocol == own == "start" else f"-{options.protocol}"
-    if options.hide:
-        suffix += f"-hidden-{options.hide}"
-    if options.ring:
-        suffix += "-ring"
-    folder = Path("evaluations") / (name + place)
-    if run is not None and run.is_dir():
-        folder = run
-        suffix = place + suffix
-    environment = environment_of(chosen, options.ring)
-    return Examination(name, driver, actions, chosen, folder, suffix, environment)
-
-
-def heading(examined, options):
-    """The line above the printed table: who, where, how, and where the files are."""
-    who = examined.driver.label if options.planner else f"{examined.name}, {examined.driver.label}"
-    rooms = ", ".join(scene.name for scene in examined.scenes[:MOST_DRAWN])
-    if len(examined.scenes) > MOST_DRAWN:
-        rooms += f" and {len(examined.scenes) - MOST_DRAWN} more"
-    return (f"{who}, in {rooms}, {conditions(options.protocol, options.hide)}; files in "
-            f"{examined.folder}")
-
-
-def draw(examined, traces, options):
-    """Writes the pictures of an evaluation, of its first scenes where there are many."""
-    from support.pictures import draw_floor, draw_trajectories  # here and below: it takes a second
-
-    for scene in examined.scenes[:MOST_DRAWN]:
-        here = [trace for trace in traces if trace.scene.boxes == scene.boxes]
-        figures = {"trajectories": draw_trajectories(scene, here)}
-        if options.protocol in ("anywhere", "validation"):
-            figures["floor"] = draw_floor(scene, here, PATCH)
-        which = f"-{scene.name}" if len(examined.scenes) > 1 else ""
-        for picture, figure in figures.items():
-            path = examined.folder / f"{picture}{examined.suffix}{which}.png"
-            write(path, partial(figure.savefig, dpi=110))
-
-
-def film(examined, options):
-    """Writes a film of one more episode by the same protocol, in the first scene."""
-    from support.film import write_film
-
-    scene = examined.scenes[0]
-    trace = film_episode(examined.driver, scene, options.protocol, options.seed, options.hide,
-                         examined.environment)
-    trace = replace(trace, scene=scene)  # in which a validation target is no new target
-    write(examined.folder / f"episode{examined.suffix}.gif", partial(write_film, trace))
-
-
-def write_replay(examined, options):
-    """Writes a page of some more episodes by the same protocol, in the first scene."""
-    from evaluation.replay import make_page
-
-    driver = examined.driver
-    scene = examined.scenes[0]
-    title = f"{examined.name} in {scene.name}, {conditions(options.protocol, '')}"
-    page = make_page(title, driver.model, driver.actions, scene, options.protocol, options.seed,
-                     examined.environment)
-    path = examined.folder / f"replay{examined.suffix}.html"
-    write(path, page)
-    print(f"watch it: {path}", file=sys.stderr)
-
-
-def read_command_line(argv):
-    """The run, a path or None, the Options, and the parser, for later errors."""
-    parser = CommandLine("Evaluate a frozen policy, or a planner, on fresh episodes.")
-    options = parser.read(Options, argv)
-    run = Path(options.run) if options.run else None
-    if (run is None) == (options.planner == ""):
-        parser.error("give either a run (a folder or a .pt file) or --planner")
-    if options.replay and options.planner:
-        parser.error("--replay needs a run: a planner has no network to look into")
-    if options.replay and options.hide:
-        parser.error(f"--hide is {options.hide}, with --replay it must be left out: the "
-                     "page has an episode with the cube hidden")
-    if options.hide and options.planner:
-        parser.error(f"--hide is {options.hide}, it must be left out with --planner: planners are "
-                     "told their target's position")
-    return run, options, parser
-
-
-def main(argv=None):
-    """The command line: evaluate, print, write the evaluation, its pictures and its film."""
-    interruption.handle("interrupted: the files that are written are whole")
-    run, options, parser = read_command_line(argv)
-    try:
-        examined = prepare(run, options)
-        parser.must_write_to(examined.folder)
-        examined.folder.mkdir(parents=True, exist_ok=True)
-        parser.remark(scenes.remark(options.env))
-    except (RunError, SceneError, OSError) as error:
-        parser.error(error)
-    # Planners keep what they know to themselves.
-    workers = 1 if options.planner else options.workers or len(available_cores())
-    try:
-        result, traces = evaluate(examined.driver, examined.scenes, options.episodes,
-                                  options.protocol, options.seed, examined.actions, options.hide,
-                                  examined.environment, workers)
+    def evaluate(self):
+        """Evaluates, prints the result and writes it. Returns the Traces."""
+        options = self.options
+        result, traces = evaluate(
+            self.driver, self.scenes, options.episodes, options.protocol, options.seed,
+            self.actions, options.hide, self.environment,
+            workers=1 if options.planner else options.workers)  # planners remember the rooms
         text = json.dumps(result, indent=2)
-        write(examined.folder / f"evaluation{examined.suffix}.json", text)
-        print(text if options.json else f"{heading(examined, options)}\n{table(result)}")
-        draw(examined, traces, options)
-        film(examined, options)
-        if options.replay:
-            write_replay(examined, options)
-    except (WriteError, ProcessLost) as error:
-        sys.exit(f"error: {error}")
+        who = self.driver.label if options.planner else f"{self.name}, {self.driver.label}"
+        rooms = ", ".join(scene.name for scene in self.scenes[:MOST_DRAWN])
+        if len(self.scenes) > MOST_DRAWN:
+            rooms += f" and {len(self.scenes) - MOST_DRAWN} more"
+        heading = f"{who}, in {rooms}, {conditions(options.protocol, options.hide)}"
+        print(text if options.json else f"{heading}; files in {self.folder}\n{table(result)}")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write(self.path("evaluation.json"), text)
+        return traces
+
+    def draw(self, traces):
+        """Writes the pictures of an evaluation, of its first scenes if there are many."""
+        from support.pictures import draw_floor, draw_trajectories, save  # loads matplotlib
+        for scene in self.scenes[:MOST_DRAWN]:
+            here = [trace for trace in traces if trace.scene.boxes == scene.boxes]
+            which = f"-{scene.name}" if len(self.scenes) > 1 else ""
+            save(draw_trajectories(scene, here), self.path("trajectories.png", which))
+            if self.options.protocol in ("anywhere", "validation"):
+                save(draw_floor(scene, here, PATCH), self.path("floor.png", which))
+
+    def show(self):
+        """Writes a film of one more episode in the first scene, and for --replay a page of more."""
+        from support.film import write_film  # loads matplotlib
+        scene = self.scenes[0]
+        how = self.options.protocol, self.options.seed
+        trace = film_episode(self.driver, scene, *how, self.options.hide, self.environment)
+        # A validation target is not a new target in the room itself.
+        write(self.path("episode.gif"), partial(write_film, replace(trace, scene=scene)))
+        if self.options.replay:
+            from evaluation.replay import make_page
+            title = f"{self.name} in {scene.name}, protocol {self.options.protocol}"
+            page = make_page(title, self.driver.model, self.actions, scene, *how, self.environment)
+            write(self.path("replay.html"), page)
+            print(f"watch it: {self.path('replay.html')}", file=sys.stderr)
+
+
+def main(argv=None, options_class=Options, choose_environment=in_simulation):
+    """The command line."""
+    options, parser = parse(options_class, "Evaluate a policy or a planner.", argv)
+    if bool(options.run) == bool(options.planner):
+        parser.error("give either a run (a folder or a .safetensors file) or --planner")
+    if options.planner and (options.hide or options.replay):
+        parser.error("--hide and --replay need a run: a planner has no network that sees")
+    if options.hide and options.replay:
+        parser.error("--replay takes no --hide: its page has an episode with the cube hidden")
+    try:
+        examined = Examination(options, choose_environment)
+        if scenes.remark(options.env):
+            print(scenes.remark(options.env), file=sys.stderr)
+        examined.draw(examined.evaluate())
+        examined.show()
+    except (ValueError, OSError, ProcessLost) as error:
+        parser.error(error)
+    except KeyboardInterrupt:
+        sys.exit("\ninterrupted")
 
 
 if __name__ == "__main__":

@@ -1,80 +1,61 @@
-"""What a training leaves when it is over: weights, curves, the frozen policy's evaluation, and a
-summary, in its run folder and on the screen."""
+"""The end of a training: curves, the frozen policy's evaluation and a summary."""
 
 import json
 import sys
+from pathlib import Path
 
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate, report
-from robot.environment import environment_of
-from support.cores import available_cores
-from support.pictures import draw_curves
+from support import parallel
+from support.pictures import draw_curves, save
 from support.rooms import RANDOM
-from support.weights import save_model
+from support.runs import read_table, write
 
 
-def finish(folder, training, scenes, stop_rate):
-    """Saves the run, evaluates its policy and writes the summary.
-
-    training: what `train.train` has brought to its end.
-    """
+def finish(training, stop_rate):
+    """Ends a Training: curves, evaluation, summary. stop_rate: the success rate of Algorithm 1."""
     config = training.config
-    model = training.model
-    episodes = training.record.episodes
-    name = RANDOM if config.env == RANDOM else scenes[0].name
-    summary = {"env": name, "seed": config.seed, "steps": training.record.steps,
-               "episodes": len(episodes), "seconds": round(training.record.seconds, 2),
-               "stopped_by_rule": training.stopped_by_rule(),
-               "rolling_new_success": training.record.success("new"), "frozen": None}
-    save_model(folder.path / "model.pt", model, scenes)
-    curves = draw_curves(episodes, summary["env"], stop_rate, config.targets)
-    folder.write("curves.png", lambda file: curves.savefig(file, format="png", dpi=110))
-    folder.write("summary.json", json.dumps(summary, indent=2))
+    folder = Path(config.out)
+    summary = {"env": RANDOM if config.env == RANDOM else training.scenes[0].name,
+               "seed": config.seed, "steps": training.steps, "episodes": training.episodes,
+               "seconds": round(training.seconds, 2), "stopped_by_rule": training.stops_by_rule(),
+               "rolling_new_success": training.success("new"), "frozen": None}
+    write(folder / "summary.json", json.dumps(summary, indent=2))
+    episodes = read_table(folder / "episodes.csv")
+    save(draw_curves(episodes, summary["env"], stop_rate, config.targets), folder / "curves.png")
     print("evaluating the frozen policy on fresh episodes ...", file=sys.stderr)
-    # On this machine's cores: the other processes of a training may be on others, or on GPUs.
-    workers = min(config.workers, len(available_cores()))
-    summary["frozen"] = evaluate_task(training, scenes, workers)
-    folder.write("evaluation.json", json.dumps(summary["frozen"], indent=2))
-    folder.write("summary.json", json.dumps(summary, indent=2))
+    evaluate_rooms = evaluate_many if config.targets == "anywhere" else evaluate_frozen
+    summary["frozen"] = evaluate_rooms(training)
+    write(folder / "evaluation.json", json.dumps(summary["frozen"], indent=2))
+    write(folder / "summary.json", json.dumps(summary, indent=2))
     print(report(summary), file=sys.stderr if config.json else sys.stdout)
     if config.json:
         print(json.dumps(summary, indent=2))
-    folder.close()
 
 
-def evaluate_task(training, scenes, workers):
-    """What `evaluation.json` holds, by the task that was trained."""
+def evaluate_policy(training, scenes, actions, protocol, episodes=None):
+    """Returns what `evaluate` finds out about the policy of a Training."""
     config = training.config
-    model = training.model.cpu()
-    if config.targets == "anywhere":
-        return evaluate_rooms(model, training.rooms, config, workers)
-    environment = environment_of(scenes, config.ring, config.reality)
-    return evaluate_frozen(model, scenes, config.evaluation_episodes, config.seed, workers,
-                           environment)
+    return evaluate(Policy(training.model.cpu(), actions, config.seed), scenes,
+                    episodes or config.evaluation_episodes, protocol, config.seed, actions,
+                    environment=training.environment,
+                    workers=min(config.workers, parallel.available_cores()))[0]
 
 
-def evaluate_rooms(model, rooms, config, workers):
-    """Level 3: fresh episodes from anywhere to anywhere by deterministic actions, in the rooms that
-    the last episodes were driven in, and in those that no episode was learnt from."""
+def evaluate_many(training):
+    """Evaluates level 3, by mean actions, in rooms that training ended in and in new ones."""
     frozen = {"protocol": "anywhere", "actions": "mean", "hidden": "", "training": None,
               "new": None, "targets": []}
-    for kind, scenes in rooms.by_kind().items():
+    for kind, scenes in training.rooms.by_kind(training.stage).items():
         if scenes:
-            environment = environment_of(scenes, config.ring, config.reality)
-            result, _ = evaluate(Policy(model, "mean", config.seed), scenes,
-                                 config.evaluation_episodes, "anywhere", config.seed,
-                                 environment=environment, workers=workers)
-            frozen[kind] = result["anywhere"]
+            frozen[kind] = evaluate_policy(training, scenes, "mean", "anywhere")["anywhere"]
     return frozen
 
 
-def evaluate_frozen(model, scenes, episodes, seed, workers, environment=None):
-    """What `evaluation.json` holds: fresh episodes with sampled actions, as in training, and
-    whether the deterministic (mean) action arrives: from one start pose each episode is the same.
-    """
-    frozen, _ = evaluate(Policy(model, "sampled", seed), scenes, episodes, seed=seed,
-                         environment=environment, workers=workers)
-    by_mean, _ = evaluate(Policy(model, "mean", seed), scenes, 1, environment=environment)
+def evaluate_frozen(training):
+    """Evaluates levels 1 and 2: sampled actions, and one episode of mean actions, all the same."""
+    frozen = evaluate_policy(training, training.scenes, "sampled", "start")
+    by_mean = evaluate_policy(training, training.scenes, "mean", "start", episodes=1)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):
         target["mean_action_arrives"] = mean["success"] == 1
     return frozen

@@ -1,84 +1,59 @@
-"""What is measured of driven episodes: success with its interval, path length, time."""
+"""Measures of driven episodes: success with its interval, path length, time."""
 
+import functools
 import math
 
 from evaluation.planners import visibility_graph
-from support.traces import OUTCOMES
 
 Z95 = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
 
 
 def wilson(successes, n):
-    """The 95 % interval (low, high) of a proportion (Wilson 1927). n = 0 gives (0, 1)."""
+    """Returns the 95 % interval (low, high) of a proportion (Wilson 1927); (0, 1) for n = 0."""
     if n == 0:
         return 0.0, 1.0
     p = successes / n
     z2 = Z95 ** 2
+    scale = 1 + z2 / n
     centre = p + z2 / (2 * n)
     spread = Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
-    low = (centre - spread) / (1 + z2 / n)
-    high = (centre + spread) / (1 + z2 / n)
-    return max(0.0, low), min(1.0, high)
+    return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
 
 
 class ShortestPaths:
-    """How far a robot has to drive at least, in the scenes of one evaluation.
-
-    The visibility graph of each scene is made once, when the scene is first asked for, and a path
-    that was asked for before is not searched again: most episodes of a scene start at one place.
-    """
+    """The shortest ways of a robot. Each scene's graph is made once, each path searched once."""
 
     def __init__(self):
-        self.lengths = {}  # (scene, start, goal) -> metres
-        self._graphs = {}  # scene -> its graph
+        self.graph = functools.cache(visibility_graph)
+        self.length = functools.cache(lambda scene, *ends: self.graph(scene).path(*ends)[1])
 
     def metres(self, scene, start, goal):
-        """Metres that the robot's disc has to drive at least from start (x, y) until it arrives at
-        the goal (x, y); inf where it cannot."""
-        start = float(start[0]), float(start[1])
-        goal = float(goal[0]), float(goal[1])
-        key = scene, start, goal
-        if key not in self.lengths:
-            if scene not in self._graphs:
-                self._graphs[scene] = visibility_graph(scene)
-            _, self.lengths[key] = self._graphs[scene].path(start, goal)
-        return self.lengths[key]
-
-    def learn(self, lengths):
-        """Takes over what others have measured, their `lengths`."""
-        self.lengths |= lengths
+        """Returns the shortest way [m] from (x, y, ...) to an arrival at a goal; inf if none."""
+        return self.length(scene, tuple(map(float, start[:2])), tuple(map(float, goal)))
 
 
 def spl(success, shortest, metres):
-    """Success weighted by path length of one episode (Anderson et al. 2018, Eq. 1): the shortest
-    path over what was driven. 1 where nothing had to be driven."""
+    """Returns one episode's success weighted by path length (Anderson et al. 2018, Eq. 1)."""
     if not success or shortest == math.inf:
         return 0.0
-    if shortest == 0:
-        return 1.0
-    return shortest / max(shortest, metres)
+    return shortest / max(shortest, metres) if shortest > 0 else 1.0
 
 
 def summarise(traces, paths=None):
-    """Outcomes of those episodes as fractions that sum to 1, success with its 95 % interval, mean
-    SPL, and the mean time to arrive [s], None where none arrived. No episodes give None.
-
-    paths: a ShortestPaths, where several summaries are to share one.
-    """
+    """Returns the outcomes of episodes as fractions, success with its 95 % interval, the mean SPL
+    and time to arrive [s]; None for no episodes. paths: ShortestPaths that summaries share."""
+    if not traces:
+        return None
     paths = paths or ShortestPaths()
     n = len(traces)
-    if n == 0:
-        return None
-    counts = {outcome: sum(trace.outcome == outcome for trace in traces) for outcome in OUTCOMES}
-    low, high = wilson(counts["arrival"], n)
+    outcomes = [trace.outcome for trace in traces]
     times = [trace.seconds for trace in traces if trace.arrived]
-    weighted = []
-    for trace in traces:
-        shortest = paths.metres(trace.scene, trace.start, trace.goal)
-        weighted.append(spl(trace.arrived, shortest, trace.metres))
-    return {"n": n, "success": counts["arrival"] / n, "low": low, "high": high,
-            "collision": counts["collision"] / n, "timeout": counts["timeout"] / n,
-            "standing": counts["standing"] / n,
-            "stops": sum(trace.stops for trace in traces) / n,  # of the ring, an episode
-            "spl": sum(weighted) / n,
+    low, high = wilson(len(times), n)
+    weighted = sum(spl(trace.arrived, paths.metres(trace.scene, trace.start, trace.goal),
+                       trace.metres) for trace in traces)
+    return {"n": n, "success": len(times) / n, "low": low, "high": high,
+            "collision": outcomes.count("collision") / n, "timeout": outcomes.count("timeout") / n,
+            "standing": outcomes.count("standing") / n,  # only with `robot.environment`, as stops
+            "stops": sum(trace.stops for trace in traces) / n,  # of the ring, per episode
+            "spl": weighted / n,
             "seconds_to_arrive": sum(times) / len(times) if times else None}

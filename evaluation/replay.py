@@ -1,8 +1,5 @@
-"""A replay in a browser: one HTML file with a few episodes, what the robot saw and did in them, and
-what went on in its network. It needs no network and no library from elsewhere.
-
-Axis letters: R robots, T steps of an episode, H = 48 and W = 64 image rows and columns.
-"""
+"""A replay in a browser: one HTML file of what a robot saw and did, and of its network's activity.
+Axis letters: R robots, T steps of an episode, H = 48 and W = 64 image rows and columns."""
 
 import base64
 import io
@@ -19,116 +16,90 @@ from evaluation.examine import rollouts
 from evaluation.planners import visibility_graph
 from evaluation.protocols import Assignment, protocol_scenes
 from model import REWARD_SCALE
+from navbot_min import NavVecEnv
 from render import CUBE_SIZE, H, W
 from sim import CONTROL_PERIOD, ROBOT_RADIUS
 from support.pictures import PALETTE
 
 PAGE = Path(__file__).with_suffix(".html")
 TRIED = 48  # episodes among which a success and a failure are looked for
-COLUMNS = 16  # images of an episode lie side by side in rows of so many
-COLOURS = 256  # of these images
-LARGEST = 500_000  # [byte] of a sheet; what is larger becomes a JPEG, as noise makes it
-QUALITY = 60  # of that
+COLUMNS = 16  # images of an episode that lie side by side in a row of its sheet
 
 
 class ThinkingPolicy(Policy):
-    """A Policy that keeps what went on in its network in `thoughts`: `value` (R,) [rewards],
-    `features` (R, FEATURES), and `memory` (R, layers, HIDDEN), what each LSTM puts out."""
+    """A Policy that keeps in `thoughts` what went on in its network, (R, ...) arrays."""
 
     def act(self, env, observations):
-        mean, sampled, _, values, self.memory = self.model.act(observations, self.memory,
-                                                               self.generator)
+        actions = super().act(env, observations)
         with torch.no_grad():
             features = self.model.see(torch.as_tensor(observations["image"]))
-        self.thoughts = {"value": values.numpy() / REWARD_SCALE, "features": features.numpy(),
+        self.thoughts = {"value": self.values.numpy() / REWARD_SCALE, "features": features.numpy(),
                          "memory": self.memory[:, :, 0].numpy()}
-        chosen = sampled if self.actions == "sampled" else mean
-        return chosen.numpy()
+        return actions
 
 
 def as_sheet(images):
-    """The images (T + 1, H, W, 3) in rows of COLUMNS, as a data URL of a PNG, exactly but for the
-    number of colours; of a JPEG where they are noisy."""
-    rows = -(-len(images) // COLUMNS)
-    cells = np.zeros((rows * COLUMNS, H, W, 3), np.uint8)
-    cells[:len(images)] = images
-    sheet = cells.reshape(rows, COLUMNS, H, W, 3).swapaxes(1, 2).reshape(rows * H, COLUMNS * W, 3)
-    picture = Image.fromarray(sheet)
+    """Returns a data URL of a PNG, of 256 colours, with images (T + 1, H, W, 3) in rows."""
+    cells = np.pad(images, ((0, -len(images) % COLUMNS), (0, 0), (0, 0), (0, 0)))
+    sheet = cells.reshape(-1, COLUMNS, H, W, 3).swapaxes(1, 2).reshape(-1, COLUMNS * W, 3)
     file = io.BytesIO()
-    kind = "png"
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
-    if file.tell() > LARGEST:
-        file = io.BytesIO()
-        kind = "jpeg"
-        picture.save(file, "JPEG", quality=QUALITY)
-    return f"data:image/{kind};base64," + base64.b64encode(file.getvalue()).decode()
+    picture = Image.fromarray(sheet).quantize(256, dither=Image.Dither.NONE)
+    picture.save(file, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
 
 
 def as_strip(name, values, height):
-    """Values (T, units) for the page: a byte each, 128 is 0, the largest is 1 or 255."""
+    """Returns values (T, units) for a strip of the page, `height` pixels high; byte 128 is 0."""
     largest = max(float(np.abs(values).max()), 1e-9)
-    signed = np.round(values / largest * 127).astype(int) + 128
+    signed = np.round(values / largest * 127) + 128
     return {"name": name, "units": values.shape[1], "height": height,
             "values": base64.b64encode(signed.astype(np.uint8).tobytes()).decode()}
 
 
 def as_episode(name, trace, graph, hidden):
-    """What the page shows of a Trace with images and thoughts. graph: of the shortest paths."""
-    way, _ = graph.path(tuple(trace.start[:2]), tuple(trace.goal))
+    """Returns what the page shows of a Trace with images and thoughts. graph: its Roadmap."""
+    way, _ = graph.path(trace.start[:2], trace.goal)
     memory = trace.thoughts["memory"]  # (T, layers, HIDDEN)
     strips = [as_strip("the 32 features that the CNN makes of the image",
                        trace.thoughts["features"], 64)]
     if memory.any():  # a network without memory has nothing to show there
         strips += [as_strip(f"memory: what LSTM {k + 1} of {memory.shape[1]} puts out, 256 units",
                             memory[:, k], 128) for k in range(memory.shape[1])]
-    return {"name": name, "outcome": trace.outcome, "goal": rounded(trace.goal),
-            "hidden": hidden in ("cube", "both"), "poses": rounded(trace.poses),
-            "shortest": rounded([trace.start[:2], *(way or [])]),
-            "commands": rounded(trace.commands), "rewards": rounded(trace.rewards),
-            "values": rounded(trace.thoughts["value"]), "images": as_sheet(trace.images),
-            "strips": strips}
+    numbers = {"goal": trace.goal, "poses": trace.poses, "commands": trace.commands,
+               "shortest": [trace.start[:2], *(way or [])], "rewards": trace.rewards,
+               "values": trace.thoughts["value"]}
+    return {"name": name, "outcome": trace.outcome, "hidden": hidden, "strips": strips,
+            "images": as_sheet(trace.images),
+            **{key: rounded(value) for key, value in numbers.items()}}
 
 
 def rounded(numbers):
-    """Numbers as lists, to the third decimal."""
+    """Returns numbers as lists, to the third decimal."""
     return np.round(np.asarray(numbers, float), 3).tolist()
 
 
-def choose(traces):
-    """Of these Traces one that arrives and one that does not, where there are such, those with the
-    farthest goals: pairs of what it is and the Trace."""
-    chosen = []
-    for wanted, name in ((True, "it arrives"), (False, "it fails")):
-        found = [trace for trace in traces if trace.arrived == wanted]
-        if found:
-            farthest = max(found, key=lambda trace: math.dist(trace.start[:2], trace.goal))
-            chosen.append((f"{name} ({farthest.outcome})", farthest))
-    return chosen
-
-
-def make_page(title, model, actions, scene, protocol, seed, environment=None):
-    """The page, text: a success, a failure, and an episode with its cube hidden.
-
-    model, actions, seed: as of a Policy. environment: as of `evaluate`.
-    """
+def make_page(title, model, actions, scene, protocol, seed, environment=NavVecEnv):
+    """Returns the page, text: a success, a failure, and an episode with its cube hidden. Of each
+    kind it is the one with the farthest goal. Arguments: as of a Policy and of `evaluate`."""
     [scene] = protocol_scenes(protocol, [scene])
-    shown = []
-    for hidden in ("", "cube"):
-        count = max(len(scene.targets), 1)
-        robots = [Assignment(scene, k % count, quota=1) for k in range(TRIED)]
+    targets = max(len(scene.targets), 1)  # anywhere, an index without a target is fine
+    robots = [Assignment(scene, k % targets, quota=1) for k in range(TRIED)]
+    graph = visibility_graph(scene)
+    episodes = []
+    for hidden, prefix, most in (("", "", 2), ("cube", "the cube is hidden: ", 1)):
         traces = rollouts(ThinkingPolicy(model, actions, seed), robots, protocol, seed, hidden,
                           images=True, environment=environment)
-        found = choose(traces)
-        if hidden:
-            found = [(f"the cube is hidden: {name}", trace) for name, trace in found[:1]]
-        shown += [(name, trace, hidden) for name, trace in found]
-    graph = visibility_graph(scene)
-    low, high = scene.bounds
+        traces.sort(key=lambda trace: math.dist(trace.start[:2], trace.goal), reverse=True)
+        farthest = [next((trace for trace in traces if trace.arrived == arrived), None)
+                    for arrived in (True, False)]
+        for trace in [trace for trace in farthest if trace is not None][:most]:
+            name = f"{prefix}it {'arrives' if trace.arrived else 'fails'} ({trace.outcome})"
+            episodes.append(as_episode(name, trace, graph, hidden == "cube"))
     content = {
-        "title": title, "bounds": rounded([low, high]), "period": CONTROL_PERIOD,
+        "title": title, "bounds": rounded(scene.bounds), "period": CONTROL_PERIOD,
         "radius": ROBOT_RADIUS, "cube": CUBE_SIZE, "columns": COLUMNS,
         "boxes": [{"corners": rounded(box.corners), "colour": PALETTE[box.material]}
                   for box in scene.boxes],
-        "episodes": [as_episode(name, trace, graph, hidden) for name, trace, hidden in shown]}
+        "episodes": episodes}
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     return PAGE.read_text(encoding="utf-8").replace("DATA", text, 1)

@@ -8,21 +8,20 @@ import pytest
 
 import scenes
 from evaluation import Planned, assign, evaluate, rollouts
-from evaluation.planners import ANGLES, MARGIN, PRM, RANGE, Bug, DStar, visibility_graph
+from evaluation.planners import ANGLES, PRM, RANGE, DStar, visibility_graph
 from scenes.test_scenes import box, square_room
 from sim import ROBOT_RADIUS, World
 from support.ranges import range_readings
 
 ENV1 = scenes.load("env1")
 ENV2 = scenes.load("env2")
-EIGHT_WAYS = [(1, 0), (0, 1), (1, 1), (1, -1), (-1, 0), (0, -1), (-1, -1), (-1, 1)]
 
 
 def grid_graph(cells):
     """The graph of a set of cells (i, j) joined eight ways, edges as long as they are in cells."""
     graph = networkx.Graph()
     for i, j in cells:
-        for di, dj in EIGHT_WAYS:
+        for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
             if (i + di, j + dj) in cells:
                 graph.add_edge((i, j), (i + di, j + dj), weight=math.hypot(di, dj))
     return graph
@@ -63,27 +62,15 @@ def test_a_path_is_as_long_as_it_says_and_free_and_ends_where_the_robot_has_arri
             assert scene.clearance(np.linspace(a, b, 500)).min() > ROBOT_RADIUS - 1e-6
 
 
-def test_no_path_leads_into_a_closed_chamber():
-    walls = [box(x=1.0, y=0.0, length=0.1, thickness=3.9)]
-    scene = scenes.parse(square_room(extra=walls, training_targets=[[-1.0, 0.5]],
-                                     new_targets=[[-1.0, -1.0]]), "room")
-    assert visibility_graph(scene).path((0.0, 0.0), (1.5, 0.0)) == (None, math.inf)
-
-
-@pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
-@pytest.mark.parametrize("protocol, episodes", [("start", 1), ("anywhere", 40)])
-def test_the_oracle_reaches_every_target_by_the_shortest_path(scene, protocol, episodes):
-    result, traces = evaluate(Planned("oracle", 0), [scene], episodes, protocol)
+@pytest.mark.parametrize("name, scene, protocol, episodes, least", [
+    ("oracle", ENV1, "start", 1, 0.9), ("oracle", ENV2, "start", 1, 0.9),
+    ("oracle", ENV1, "anywhere", 40, 0.9), ("oracle", ENV2, "anywhere", 40, 0.9),
+    ("prm", ENV1, "start", 1, 0.7), ("dstar", ENV1, "start", 1, 0.7)])
+def test_planners_that_know_a_map_or_make_one_reach_every_target_by_a_short_path(
+        name, scene, protocol, episodes, least):
+    result, _ = evaluate(Planned(name, 0), [scene], episodes, protocol)
     for row in result["targets"] or [result["anywhere"]]:
-        assert row["success"] == 1 and row["spl"] > 0.9
-    for trace in traces:
-        assert trace.metres > math.dist(trace.goal, trace.start[:2]) - 0.2
-
-
-@pytest.mark.parametrize("name", ["prm", "dstar"])
-def test_planners_with_a_map_or_making_one_reach_every_target_of_env1(name):
-    result, _ = evaluate(Planned(name, 0), [ENV1], 1)
-    assert all(target["success"] == 1 and target["spl"] > 0.7 for target in result["targets"])
+        assert row["success"] == 1 and row["spl"] > least
 
 
 def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
@@ -108,57 +95,26 @@ def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
     assert max(np.diff(costs)) > 5  # [cells] that the second wall added
 
 
-def test_d_star_gives_up_where_it_finds_no_way():
-    """Walls all around the robot, as far as it knows: its search from the goal ends all the same,
-    and it drives straight at the goal."""
-    class Limited(DStar):
-        """Whose search fails where it would go on for ever."""
-        left = 200_000
-
-        def _update(self, s):
-            self.left -= 1
-            assert self.left > 0
-            super()._update(s)
-    planner = Limited(None, None, None)
+def test_d_star_gives_up_if_it_finds_no_way():
+    """Walls are all around, as far as it knows. Its search ends, and it drives straight ahead."""
+    planner = DStar(None, None, None)
     planner.begin(np.zeros(3), (1.0, 0.0))
     ring = range(-8, 9)
     planner.blocked = {(i, j) for i in ring for j in ring if max(abs(i), abs(j)) == 8}
     v, w = planner.act(np.zeros(3), np.full(len(ANGLES), RANGE))
-    assert planner.g[planner.start] == math.inf
-    assert v > 0 and w == 0
+    assert planner.g[planner.start] == math.inf and v > 0 and w == 0
 
 
-def test_d_star_reaches_a_goal_beside_a_wall():
-    """Nearer to it than the margin that it keeps from walls, and behind a box."""
-    table = square_room(half=1.0, extra=[box(x=0.2, y=0.0, length=0.2, thickness=0.8)],
-                        start=dict(x=-0.5, y=0.0, heading_degrees=90),
-                        training_targets=[[0.81, 0.3]], new_targets=[])
-    room = scenes.parse(table, "room")
-    assert 0 < room.clearance(room.targets[0]) - ROBOT_RADIUS < MARGIN
-    result, _ = evaluate(Planned("dstar", 0), [room], 1)
-    assert result["training"]["success"] == 1
-
-
-def test_d_star_takes_a_way_that_is_3_m_longer_than_the_line():
-    wall = box(x=0.0, y=-1.0, length=0.1, thickness=2.0)
-    table = square_room(half=2.0, extra=[wall], start=dict(x=-0.5, y=-1.7, heading_degrees=0),
-                        training_targets=[[0.5, -1.7]], new_targets=[])
-    result, [trace] = evaluate(Planned("dstar", 0), [scenes.parse(table, "room")], 1)
-    assert result["training"]["success"] == 1 and trace.metres > 4
-
-
-def test_bug_drives_an_arc_that_ends_at_its_next_point():
-    room = scenes.parse(square_room(), "room")
-    world = World([room])
-    bug = Bug(room, None, None)
-    for bearing in np.linspace(-0.19, 0.19, 9):
-        pose = np.array([0.2, -0.1, 2.5])
-        bug.begin(pose, (1.0, 1.0))
-        bug.step = pose[:2] + 0.11 * np.array([math.cos(2.5 + bearing), math.sin(2.5 + bearing)])
-        point = bug.step
-        world.place([0], [pose])
-        world.drive([bug.act(pose, None)])
-        assert world.poses[0, :2] == pytest.approx(point, abs=1e-3) and bug.step is None
+@pytest.mark.parametrize("half, obstacle, start, goal, least", [
+    (1.0, dict(x=0.2, y=0.0, length=0.2, thickness=0.8), (-0.5, 0.0), (0.81, 0.3), 1.3),
+    (2.0, dict(x=0.0, y=-1.0, length=0.1, thickness=2.0), (-0.5, -1.7), (0.5, -1.7), 4)])
+def test_d_star_reaches_a_goal_beside_a_wall_and_takes_a_way_3_m_longer_than_the_line(
+        half, obstacle, start, goal, least):
+    """The first goal is nearer to a wall than the margin that the planner keeps from walls."""
+    table = square_room(half, extra=[box(**obstacle)], training_targets=[goal], new_targets=[],
+                        start=dict(x=start[0], y=start[1], heading_degrees=45))
+    [trace] = rollouts(Planned("dstar", 0), assign(scenes.parse(table, "room"), 0, 1))
+    assert trace.arrived and trace.metres > least
 
 
 @pytest.mark.parametrize("name, empty, blocked", [

@@ -3,81 +3,27 @@
 import base64
 import io
 import json
+import math
 import re
 import shutil
-import subprocess
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-import scenes
+from evaluation import Assignment, rollouts
 from evaluation.__main__ import main
-from evaluation.replay import COLUMNS, as_sheet, as_strip, make_page
+from evaluation.replay import COLUMNS, ThinkingPolicy, as_episode, make_page
 from model import REWARD_SCALE
-from navbot_min import NavVecEnv
 from render import H, W
-from sim import MAX_LINEAR_VELOCITY
+from sim import ARRIVAL_DISTANCE
 from support.pictures import PALETTE
-from support.weights import load_run
+from support.weights import load_model
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-PLAYED = """
-<script>
-const said = {errors: []};
-window.onerror = message => { said.errors.push(message); };
-const frame = () => Array.from($("camera").getContext("2d").getImageData(0, 0, 64, 48).data);
-setTimeout(() => {
-  const slider = $("time");
-  slider.value = STEP;
-  slider.dispatchEvent(new Event("input"));
-  said.scrubbed = robot.getAttribute("transform");
-  said.frame = frame();
-  said.facts = $("facts").innerText;
-  said.lines = Array.from(document.querySelectorAll("#map polyline"), line =>
-    line.getAttribute("points"));
-  said.steps = ["back", "on", "on"].map(id => { $(id).click(); return step; });
-  document.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowLeft"}));
-  said.left = step;
-  const plot = $("rewards"), box = plot.getBoundingClientRect();
-  plot.dispatchEvent(new PointerEvent("pointerdown", {
-    buttons: 1, clientX: box.left + box.width / 4, clientY: box.top + 5}));
-  said.clicked = step;
-  $("episode").value = "1";
-  $("episode").dispatchEvent(new Event("change"));
-  said.second = $("facts").innerText;
-  choose(0);
-  document.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"}));
-  said.home = step;
-  document.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
-  said.right = step;
-  $("play").click();
-  setTimeout(() => {
-    said.played = step;
-    said.moved = robot.getAttribute("transform");
-    document.dispatchEvent(new KeyboardEvent("keydown", {key: " "}));
-    said.paused = step;
-    setTimeout(() => {
-      said.still = step;
-      choose(data.episodes.length - 1);
-      said.last = $("title").textContent + $("episode").selectedOptions[0].textContent;
-      const pre = document.createElement("pre");
-      pre.id = "said";
-      pre.textContent = JSON.stringify(said);
-      document.body.append(pre);
-    }, 500);
-  }, 1000);
-}, 500);
-</script>
-"""
-
-
-@pytest.fixture(scope="module")
-def page():
-    """A page of the policy in pretrained/env1.pt."""
-    model, [scene, *_] = load_run("pretrained/env1.pt")
-    return make_page("the title", model, "mean", scene, "anywhere", seed=0)
+WEIGHTS = "pretrained/env1.safetensors"
+MODEL, [ENV1] = load_model(WEIGHTS)
+TITLE = "<!--<script> of a title"
 
 
 def content_of(page):
@@ -85,156 +31,83 @@ def content_of(page):
     return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.DOTALL)[1])
 
 
-def points_of(polyline):
-    """The corners (n, 2) of an SVG polyline."""
-    return np.array([[float(number) for number in pair.split(",")] for pair in polyline.split()])
+@pytest.fixture(scope="module")
+def made():
+    """The text of a page, and the Traces of its episodes."""
+    traces = []
+
+    def watched(name, trace, *others):
+        traces.append(trace)
+        return as_episode(name, trace, *others)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("evaluation.replay.as_episode", watched)
+        return make_page(TITLE, MODEL, "mean", ENV1, "anywhere", seed=0), traces
 
 
-def frames(url, count):
-    """The images (count, H, W, 3) of a data URL."""
-    sheet = np.array(Image.open(io.BytesIO(base64.b64decode(url.split(",")[1]))).convert("RGB"))
-    rows = sheet.reshape(-1, H, COLUMNS, W, 3).swapaxes(1, 2)
-    return rows.reshape(-1, H, W, 3)[:count]
-
-
-def test_a_sheet_holds_every_image_in_its_place():
-    flat = np.arange(20, dtype=np.uint8)[:, None, None, None]
-    images = np.broadcast_to(10 * flat, (20, H, W, 3))
-    assert np.array_equal(frames(as_sheet(images), 20), images)
-
-
-def test_a_strip_holds_every_value_in_its_place():
-    values = np.array([[0.0, 2.0], [-1.0, -2.0], [0.5, 1.0]])
-    strip = as_strip("name", values, 10)
-    read = np.frombuffer(base64.b64decode(strip["values"]), np.uint8).reshape(3, strip["units"])
-    assert np.allclose((read - 128.0) / 127 * 2, values, atol=0.01)
-
-
-def test_a_page_needs_nothing_from_elsewhere_and_is_small(page):
-    addresses = set(re.findall(r"https?://[^\"' ]+", page))
-    assert addresses <= {"http://www.w3.org/2000/svg"}  # a name, which nothing is loaded from
-    assert not re.search(r"<link|src=\"|@import", page)
-    assert len(page) < 2e6
-
-
-def test_a_page_shows_a_success_a_failure_and_a_hidden_cube(page):
+def test_a_page_has_a_success_a_failure_and_a_hidden_cube_each_as_its_trace_has_it(made):
+    page, traces = made
     episodes = content_of(page)["episodes"]
     assert [episode["hidden"] for episode in episodes] == [False, False, True]
     assert episodes[0]["outcome"] == "arrival" != episodes[1]["outcome"]
-    for episode in episodes:
-        T = len(episode["commands"])
-        assert len(episode["poses"]) == T + 1
-        assert len(episode["rewards"]) == len(episode["values"]) == T
-        blue = (frames(episode["images"], T + 1) == (20, 20, 235)).all(-1).any()
-        assert [strip["units"] for strip in episode["strips"]] == [32, 256, 256]
-        assert not (blue and episode["hidden"])
+    for episode, trace in zip(episodes, traces, strict=True):
+        assert episode["outcome"] == trace.outcome
+        for key in ("goal", "poses", "commands", "rewards"):
+            assert np.allclose(episode[key], getattr(trace, key), rtol=0, atol=0.00051)
+        assert np.allclose(episode["values"], trace.thoughts["value"], rtol=0, atol=0.00051)
+        way = episode["shortest"]
+        assert math.dist(way[0], trace.start[:2]) < 0.001
+        assert math.dist(way[-1], trace.goal) < ARRIVAL_DISTANCE + 0.001
+        sheet = Image.open(io.BytesIO(base64.b64decode(episode["images"].partition(",")[2])))
+        cells = np.array(sheet.convert("RGB")).reshape(-1, H, COLUMNS, W, 3).swapaxes(1, 2)
+        images = cells.reshape(-1, H, W, 3)[:len(trace.images)]
+        off = np.abs(images.astype(float) - trace.images).mean((1, 2, 3))
+        assert off.max() < 1  # of 255: a sheet has 256 colours
+        assert not (episode["hidden"] and (images == (20, 20, 235)).all(-1).any())  # the cube
+        layers = trace.thoughts["memory"].swapaxes(0, 1)
+        for strip, values in zip(episode["strips"], (trace.thoughts["features"], *layers),
+                                 strict=True):
+            shown = np.frombuffer(base64.b64decode(strip["values"]), np.uint8)
+            shares = (shown.reshape(-1, strip["units"]) - 128.0) / 127
+            assert np.allclose(shares * np.abs(values).max(), values, atol=0.01 * values.max())
 
 
-def test_what_a_page_shows_is_what_the_policy_did_and_thought(page):
-    """The same episode, driven again step by step by the network itself."""
-    model, [scene, *_] = load_run("pretrained/env1.pt")
-    episode = content_of(page)["episodes"][0]
-    env = NavVecEnv(1, [scene], max_episode_steps=-1)
-    env.reset(seed=0, options={"start": episode["poses"][0], "target": 0})
-    env.goals[:] = episode["goal"]
-    seen = env.observe(np.array([0]), env.world.poses, env.goals, np.zeros((1, 2)), np.zeros(1))
-    memory = model.initial_state(1)
-    strips = [np.frombuffer(base64.b64decode(strip["values"]), np.uint8).reshape(-1, strip["units"])
-              for strip in episode["strips"]]
-    features = []
-    remembered = []
-    for t, command in enumerate(episode["commands"][:12]):
-        mean, _, _, value, memory = model.act(seen, memory, torch.Generator())
-        assert value.item() / REWARD_SCALE == pytest.approx(episode["values"][t], abs=2)
-        features.append(model.see(torch.as_tensor(seen["image"]))[0].detach().numpy())
-        remembered.append(memory[0, :, 0].numpy().copy())
-        action = np.array(command) / (MAX_LINEAR_VELOCITY, 1)
-        assert np.allclose(mean[0].clip(torch.tensor((0.0, -1)), torch.tensor((1.0, 1))), action,
-                           atol=0.05)
-        seen, rewards, *_ = env.step(action[None])
-        assert rewards[0] == pytest.approx(episode["rewards"][t], abs=0.1)
-    for strip, values in zip(strips, (features, *np.swapaxes(remembered, 0, 1))):
-        read = (strip[:12] - 128.0).ravel()
-        assert np.corrcoef(read, np.ravel(values))[0, 1] > 0.98
+def test_the_thoughts_are_those_of_the_network_in_one_go_over_the_whole_episode():
+    class Remembering(ThinkingPolicy):
+        def act(self, env, observations):
+            actions = super().act(env, observations)
+            self.thoughts |= observations
+            return actions
+    model, _ = load_model(WEIGHTS)
+    [trace] = rollouts(Remembering(model, "mean", 0), [Assignment(ENV1, 2, quota=1)], "perturbed")
+    thoughts = {key: torch.as_tensor(value)[None] for key, value in trace.thoughts.items()}
+    put_out = []
+    for memory in model.memories:
+        memory.register_forward_hook(lambda module, seen, result: put_out.append(result[0]))
+    with torch.no_grad():
+        _, values, _ = model(thoughts, model.initial_state(1))
+        features = model.see(thoughts["image"][0])
+    assert torch.allclose(thoughts["value"] * REWARD_SCALE, values, atol=1e-4)
+    assert torch.allclose(thoughts["features"][0], features, atol=1e-4)
+    assert torch.allclose(thoughts["memory"], torch.stack(put_out, 2), atol=1e-4)
 
 
-def test_the_colours_of_a_page_are_those_of_the_boxes(page):
-    scene = scenes.load("env1")
-    shown = [box["colour"] for box in content_of(page)["boxes"]]
-    assert shown == [PALETTE[box.material] for box in scene.boxes] and len(set(shown)) == 3
+def test_a_page_needs_nothing_from_elsewhere_and_has_all_that_its_script_asks_for(made):
+    page, _ = made
+    assert set(re.findall(r"https?://[^\"' ]+", page)) <= {"http://www.w3.org/2000/svg"}  # a name
+    assert not re.search(r"<link|src=\"|@import", page) and len(page) < 2e6
+    content = content_of(page)
+    assert content["title"] == TITLE and TITLE not in page
+    assert [box["colour"] for box in content["boxes"]] == [PALETTE[b.material] for b in ENV1.boxes]
+    script = page.rpartition("<script>")[2]
+    for name, table in (("data", content), ("episode", content["episodes"][0])):
+        asked = set(re.findall(rf"\b{name}\.(\w+)", script.replace("image.data", "")))
+        assert len(asked) > 5 and asked <= set(table)
 
 
-def test_a_noisy_room_stays_small_and_a_name_with_a_tag_is_text():
-    rng = np.random.default_rng(0)
-    noisy = rng.integers(0, 256, (201, H, W, 3), dtype=np.uint8) // 4 + 96
-    url = as_sheet(noisy)
-    assert url.startswith("data:image/jpeg") and len(url) < 6e5
-    assert np.abs(frames(url, 201) - noisy.astype(float)).mean() < 25
-    model, [scene, *_] = load_run("pretrained/env1.pt")
-    page = make_page("<!--<script>", model, "mean", scene, "start", seed=0)
-    assert "<!--<script" not in page and content_of(page)["title"] == "<!--<script>"
-
-
-def test_the_shortest_way_leads_from_the_start_to_the_goal(page):
-    episode = content_of(page)["episodes"][0]
-    way = np.array(episode["shortest"])
-    assert np.allclose(way[0], episode["poses"][0][:2], atol=1e-3)
-    assert np.hypot(*(way[-1] - episode["goal"])) < 0.18
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
-def test_in_a_browser_play_moves_the_robot_and_scrubbing_shows_the_right_image(page, tmp_path):
-    episode = content_of(page)["episodes"][0]
-    T = len(episode["commands"])
-    middle = T // 2
-    file = tmp_path / "replay.html"
-    file.write_text(page.replace("</body>", PLAYED.replace("STEP", str(middle)) + "</body>"))
-    shown = subprocess.run([CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
-                            "--virtual-time-budget=8000", file.as_uri()], capture_output=True,
-                           text=True, timeout=300).stdout
-    said = json.loads(re.search(r'<pre id="said">(.*?)</pre>', shown, re.DOTALL)[1]
-                      .replace("&amp;", "&"))
-    assert said["errors"] == []
-    x, y, theta = episode["poses"][middle]
-    numbers = [float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", said["scrubbed"])]
-    assert np.allclose(numbers, [x, -y, -np.degrees(theta)], atol=1e-3)
-    seen = np.array(said["frame"]).reshape(H, W, 4)[..., :3]
-    assert np.array_equal(seen, frames(episode["images"], T + 1)[middle])
-    facts = dict(line.split("\t") for line in said["facts"].splitlines())
-    rewards = np.array(episode["rewards"])
-    assert float(facts["last reward"]) == pytest.approx(rewards[middle - 1], abs=0.06)
-    assert float(facts["rewards so far"]) == pytest.approx(rewards[:middle].sum(), abs=0.06)
-    assert float(facts["value"]) == pytest.approx(episode["values"][middle], abs=0.06)
-    mirrored = [[x, -y] for x, y in episode["shortest"]]
-    assert points_of(said["lines"][0]) == pytest.approx(np.array(mirrored))
-    driven = [[x, -y] for x, y, _ in episode["poses"][:middle + 1]]
-    assert points_of(said["lines"][1]) == pytest.approx(np.array(driven))
-    assert said["steps"] == [middle - 1, middle, middle + 1] and said["left"] == middle
-    assert said["clicked"] == pytest.approx(T / 4, abs=1)
-    assert content_of(page)["episodes"][1]["outcome"] in said["second"]
-    assert said["home"] == 0 and said["right"] == 1
-    assert said["played"] > 3 and said["moved"] != said["scrubbed"]
-    assert said["paused"] == said["still"] >= said["played"]
-    assert said["last"].startswith("the title") and "hidden" in said["last"]
-
-
-def test_the_command_line_writes_it_and_a_planner_has_none(tmp_path, monkeypatch, capsys):
-    weights = tmp_path / "env1.pt"
-    shutil.copy("pretrained/env1.pt", weights)
+def test_the_command_line_writes_it(tmp_path, monkeypatch, capsys):
+    shutil.copy(WEIGHTS, tmp_path)
     monkeypatch.chdir(tmp_path)
-    main([str(weights), "--episodes", "3", "--workers", "1", "--replay"])
-    assert "watch it: " in capsys.readouterr().err
-    page = (tmp_path / "evaluations" / "env1" / "replay.html").read_text()
+    main(["env1.safetensors", "--episodes", "3", "--workers", "1", "--replay"])
+    assert "watch it: evaluations/env1/replay.html" in capsys.readouterr().err
+    page = (tmp_path / "evaluations/env1/replay.html").read_text()
     assert content_of(page)["title"] == "env1 in env1, protocol start"
-    for words, said in ((["--planner", "bug"], "--replay needs a run"),
-                        ([str(weights), "--hide", "place"], "--hide is place, with --replay")):
-        with pytest.raises(SystemExit) as end:
-            main([*words, "--replay"])
-        assert end.value.code == 2
-        assert said in capsys.readouterr().err
-
-
-def test_random_rooms_have_a_replay_too():
-    model, _ = load_run("pretrained/any-room.pt")
-    page = make_page("any", model, "mean", scenes.load("random:3"), "anywhere", seed=1)
-    assert len(content_of(page)["boxes"]) > 4
