@@ -1,2 +1,7 @@
-"""From simulation to a robot (paper IV-C): a room where reality interferes, ultrasonic sensors that
-stop the robot, and what a robot of one's own needs."""
+"""From simulation to a robot, paper IV-C."""
+
+import gymnasium
+
+gymnasium.register("NavBot-lab-v0", entry_point="robot.environment:RealEnv",
+                   vector_entry_point="robot.environment:RealVecEnv", kwargs={"scenes": ("lab",)},
+                   max_episode_steps=200)

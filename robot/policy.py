@@ -1,26 +1,43 @@
-"""A network as the policy that `robot.robot.drive` asks; `robot.onnx_policy.OnnxPolicy` does the
-same without torch."""
+"""Policies for `robot.robot.drive`: a network, or its ONNX file for a robot without torch. `act`
+returns the mean action (2,) of one robot for what it sees, a dict of arrays."""
 
 import numpy as np
-import torch
 
 
 class TorchPolicy:
-    """Deterministic (mean) actions of a network for one robot: `reset()`, then `act(observation)`
-    every step."""
+    """A `model.Network`."""
 
     def __init__(self, network):
-        """network: a `model.Network`."""
+        import torch  # here, because an ONNX file does without
         self.network = network
         self.generator = torch.Generator()  # of samples, which are not used
         self.reset()
 
     def reset(self):
-        """An episode begins."""
         self.memory = self.network.initial_state(1)
 
     def act(self, observation):
-        """The action (2,) for what the robot sees, a dict of arrays."""
         of_one = {name: np.asarray(value)[None] for name, value in observation.items()}
         mean, _, _, _, self.memory = self.network.act(of_one, self.memory, self.generator)
         return mean[0].numpy()
+
+
+class OnnxPolicy:
+    """A file that `robot.export` has written, by numpy and onnxruntime."""
+
+    def __init__(self, content):
+        """content: of an ONNX file, or its path."""
+        import onnxruntime  # here, because a network does without
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.session = onnxruntime.InferenceSession(content, options)
+        shapes = {item.name: item.shape for item in self.session.get_inputs()}
+        self.memory = np.zeros(shapes["memory"], np.float32)
+
+    def reset(self):
+        self.memory[:] = 0
+
+    def act(self, observation):
+        inputs = {**observation, "memory": self.memory}
+        action, self.memory = self.session.run(None, inputs)
+        return action
