@@ -1,315 +1,174 @@
-"""Drive it yourself: `python -m classroom.drive --env env1`.
+"""Drive it yourself: `python -m classroom.drive --env env1`. You see what the robot sees, and steer
+with the arrow keys. A picture and a table then compare you with the policy and planners."""
 
-You see what the robot sees: its camera, 64 x 48 pixels, how far off the target is and in which
-direction, and the last reward. You steer with the arrow keys, once in a control period, as the
-policy does. Afterwards your paths are drawn over the map beside the policy's, and your success
-stands in a table with the planners' and the learner's, on the same tasks.
-"""
-
-import math
-import sys
+import csv
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import scenes
-from evaluation import Planned, Policy, ShortestPaths, spl, summarise
+from evaluation import Planned, Policy, ShortestPaths, spl, wilson
 from evaluation.protocols import make_environment
-from navbot_min import MAX_EPISODE_STEPS
+from robot.environment import environment_of
 from sim import CONTROL_PERIOD, SceneError
-from support.command_line import CommandLine, option
-from support.interruption import interruption
-from support.pictures import (MARKERS, PALETTE, WIDTH, draw_robot, draw_room, draw_target,
-                              start_handle)
-from support.run_folder import WriteError, csv_text, write
+from support.cli import option, parse
+from support.pictures import WIDTH, draw_path, draw_robot, draw_room, draw_target, save
 from support.traces import drive
-from support.weights import load_run
+from support.weights import load_model
 
 PRETRAINED = Path(__file__).parent.parent / "pretrained"
 OTHERS = ("oracle", "bug", "straight")  # planners that drive the same tasks
-STEERING = {"up": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}  # key -> action
-STILL = 0.3  # [s] without a key, after which another episode may begin
-YOURS = PALETTE["run"]
-ITS = PALETTE["arrival"]
-MOST_EPISODES = 1000
-LARGEST_SEED = 1_000_000_000
-COLUMNS = ("name", "env", "seed", "episode", "outcome", "seconds", "metres", "shortest", "spl")
 
 
 @dataclass
 class Options:
-    """A drive."""
+    """The options of a drive."""
     env: str = option("env1", "a room: its name, a file (.toml, .world) or random:7")
-    episodes: int = option(5, "so many, from anywhere to anywhere", 1, MOST_EPISODES)
-    seed: int = option(0, "which tasks: the same seed, the same starts and targets", 0,
-                       LARGEST_SEED)
+    episodes: int = option(5, "how many, each with a random start and target", 1, 1000)
+    seed: int = option(0, "which tasks: the same seed, the same starts and targets", 0, 10 ** 9)
     name: str = option("you", "who drives, for drives.csv")
-    map: bool = option(False, "show the map, too: the policy has none")
-    out: str = option("drives", "the folder that the picture and drives.csv go into")
+    out: str = option("drives", "the folder for paths.png and drives.csv")
 
 
-class Closed(Exception):
-    """The window was closed."""
-
-
-def why_no_window():
-    """Why there is none, and what to do."""
-    try:
-        import tkinter  # noqa: F401
-    except ImportError:
-        return ("this python came without tkinter; on Debian and Ubuntu install python3-tk, "
-                "elsewhere take a python from python.org")
-    return "there is no display; sit before the machine, or connect with `ssh -X`"
-
-
-class Cockpit:
-    """The window: what the robot sees, and which keys are held."""
-
-    def __init__(self, scene, with_map):
-        """Raises RuntimeError where there is no display."""
-        try:
-            import matplotlib.pyplot as plt  # here: a test of the paths needs no window
-            for name in [name for name in plt.rcParams if name.startswith("keymap.")]:
-                plt.rcParams[name] = []  # arrows steer, and do nothing else
-            plt.rcParams["toolbar"] = "None"
-            self.figure = plt.figure("navbot_min", figsize=(12 if with_map else 7, 6),
-                                     layout="constrained")
-        except Exception as error:  # each toolkit has errors of its own
-            raise RuntimeError(f"no window can be opened here: {error}; sit before the machine, or "
-                               "connect with `ssh -X`") from None
-        canvas = self.figure.canvas
-        if canvas.required_interactive_framework is None:
-            raise RuntimeError(f"no window can be opened here: {why_no_window()}")
-        panels = self.figure.subplots(1, 2 if with_map else 1, squeeze=False)[0]
-        self.picture = panels[0].imshow(np.zeros((48, 64, 3), np.uint8))
-        panels[0].axis("off")
-        self.title = panels[0].set_title("")
-        self.scene = scene
-        self.map = panels[1] if with_map else None
-        self.held = set()
-        self.pressed = set()  # since the last period
-        self.is_open = True
-        canvas.mpl_connect("key_press_event", self._press)
-        canvas.mpl_connect("key_release_event", self._release)
-        canvas.mpl_connect("close_event", self._close)
-        if hasattr(canvas, "get_tk_widget"):  # a key that is released elsewhere is not held here
-            canvas.get_tk_widget().bind("<FocusOut>", lambda event: self.held.clear(), add="+")
-        self.figure.show()
-
-    def _press(self, event):
-        self.held.add(event.key)
-        self.pressed.add(event.key)
-
-    def _release(self, event):
-        self.held.discard(event.key)
-
-    def _close(self, event):
-        self.is_open = False
-
-    def show(self, image, text, goal, pose):
-        """Shows an image (H, W, 3), a line above it, and on the map goal (2,) and pose (3,)."""
-        self.picture.set_data(image)
-        self.title.set_text(text)
-        if self.map is not None:
-            self.map.clear()
-            draw_room(self.map, self.scene)
-            draw_target(self.map, self.scene, goal, ring=True)
-            draw_robot(self.map, pose)
-            self.map.axis("off")
-        self.figure.canvas.draw_idle()
-
-    def wait(self, is_over):
-        """The keys that were held or pressed until that is over, a function of the time [s]. Raises
-        Closed."""
-        self.pressed.clear()
-        while True:
-            self.figure.canvas.flush_events()
-            if not self.is_open:
-                raise Closed
-            if is_over(time.perf_counter()):
-                return self.held | self.pressed
-            time.sleep(0.01)
-
-    def wait_for_release(self):
-        """Waits until no key was held or pressed for STILL: one that is held repeats itself."""
-        still_since = time.perf_counter()
-
-        def is_still(now):
-            nonlocal still_since
-            if self.held or self.pressed:
-                still_since = now
-            self.pressed.clear()
-            return now - still_since > STILL
-        self.wait(is_still)
-
-    def close(self):
-        """Closes the window."""
-        import matplotlib.pyplot as plt
-        plt.close(self.figure)
-
-
-class You:
-    """A driver for one robot: whoever sits before the window."""
-
-    label = "you"
-
-    def __init__(self, cockpit):
-        self.cockpit = cockpit
-        self.episode = 0
-        self.step = 0
-        self.due = 0.0  # [s] when the control period is over
-        self.before = ""  # how the episode before ended
-
-    def reset(self, env, robots):
-        """Another episode begins."""
-        self.step = 0
-
-    def tell(self, trace):
-        """How an episode ended."""
-        self.before = f"episode {self.episode}: {trace.outcome}, reward {trace.rewards[-1]:+.1f}\n"
-
-    def act(self, env, observations):
-        """The action (1, 2) of the keys that are held until the control period is over. An episode
-        begins when an arrow key is pressed anew."""
-        if self.step == 0:
-            self.episode += 1
-        self.show(env, observations)
-        if self.step == 0:
-            self.cockpit.wait_for_release()
-            self.cockpit.wait(lambda now: self.cockpit.pressed & set(STEERING))
-            self.due = time.perf_counter()
-        self.due = max(self.due, time.perf_counter()) + CONTROL_PERIOD
-        action = np.zeros(2)
-        for key in self.cockpit.wait(lambda now: now >= self.due) & set(STEERING):
-            action += STEERING[key]
-        self.step += 1
-        return action[None]
-
-    def show(self, env, observations):
-        """Shows what the robot sees, and says the rest of its observation above."""
-        distance, bearing = observations["target"][0]
-        side = "left" if bearing > 0 else "right"
-        left = (MAX_EPISODE_STEPS - self.step) * CONTROL_PERIOD
-        keys = f"{left:.0f} s left" if self.step else "press an arrow key to begin"
-        before = "" if self.step else self.before
-        text = (f"{before}episode {self.episode}: target {distance:.2f} m, "
-                f"{abs(math.degrees(bearing)):.0f} deg to the {side}\n"
-                f"last reward {observations['last_reward'][0, 0]:+.1f}, {keys}")
-        self.cockpit.show(observations["image"][0], text, env.goals[0], env.world.poses[0])
-
-
-def same_tasks(driver, scene, episodes, seed, tell=lambda trace: None):
-    """The Traces of a driver on the tasks of that seed. Each has a seed of its own, and so is the
-    same for every driver, whatever a room draws while one drives. tell: is called with each Trace
-    when it ends."""
-    env = make_environment("anywhere", [scene], [0])
-    traces = []
-    for k in range(episodes):
-        traces += drive(driver, env, [1], MOST_EPISODES * seed + k)
-        tell(traces[-1])
-    return traces
-
-
-def policy_for(scene):
-    """The learner beside you, and its name: a policy that learnt in this room where there is one,
-    else the one that learnt in random rooms."""
-    weights = PRETRAINED / f"{scene.name}.pt"
-    if not weights.exists():
-        weights = PRETRAINED / "any-room.pt"
-    model, _ = load_run(weights)
-    return Policy(model, "mean", seed=0), f"learner ({weights.name})"
-
-
-def draw_paths(scene, yours, its):
-    """Your paths beside the policy's, an episode a panel. yours, its: Traces of the same tasks.
-    Returns a Figure."""
-    columns = min(len(yours), 3)
-    rows = -(-len(yours) // columns)
-    figure = Figure(figsize=(WIDTH, 1 + 2.2 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False)
-    for axes in panels.flat[len(yours):]:
-        axes.axis("off")
-    for axes, you, it in zip(panels.flat, yours, its):
-        draw_room(axes, scene)
-        draw_target(axes, scene, you.goal, ring=True)
-        draw_robot(axes, you.start)
-        for trace, colour in ((it, ITS), (you, YOURS)):
-            axes.plot(*trace.poses[:, :2].T, color=colour, lw=1.6)
-            axes.plot(*trace.poses[-1, :2], color=colour, marker=MARKERS[trace.outcome], ms=6)
-        axes.set_title(f"you: {you.outcome}, {you.seconds:.0f} s\nit: {it.outcome}, "
-                       f"{it.seconds:.0f} s", fontsize=9)
-        axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    lines = [Line2D([], [], color=YOURS, label="you"), Line2D([], [], color=ITS, label="learner")]
-    figure.legend(handles=[start_handle(), *lines], loc="outside lower center", ncols=3,
-                  frameon=False)
+def open_window():
+    """Returns a Figure in a window. Raises RuntimeError if there is no display or no toolkit."""
+    plt.rcParams["toolbar"] = "None"  # its keys are the arrows
+    figure = plt.figure("navbot_min", layout="constrained")
+    if figure.canvas.required_interactive_framework is None:
+        raise RuntimeError("no window can be opened here: it needs a display, and tkinter or PyQt6")
+    figure.show()
     return figure
 
 
-def table(rows):
-    """Lines of text. rows: a name and Traces each."""
-    width = max(len(name) for name, _ in rows)
-    lines = [f"{'':{width}}  arrives   SPL  seconds to arrive"]
-    for name, traces in rows:
-        result = summarise(traces)
-        seconds = result["seconds_to_arrive"]
-        lines.append(f"{name:{width}}  {result['success']:7.0%}  {result['spl']:4.2f}  "
-                     f"{'-' if seconds is None else f'{seconds:.1f}'}")
-    return "\n".join(lines)
+class You:
+    """A driver for one robot: the person at the keyboard. figure: of matplotlib, in a window."""
+
+    def __init__(self, figure):
+        axes = figure.subplots()
+        axes.axis("off")
+        self.picture = axes.imshow(np.zeros((48, 64, 3), np.uint8))
+        self.title = axes.set_title("")
+        self.message = "press Enter, then drive by the arrow keys"  # empty while you drive
+        self.held = set()  # keys
+        self.pressed = set()  # keys, in this control period
+        self.canvas = figure.canvas
+        self.canvas.mpl_connect("key_press_event", lambda event: self.held.add(event.key))
+        self.canvas.mpl_connect("key_press_event", lambda event: self.pressed.add(event.key))
+        self.canvas.mpl_connect("key_release_event", lambda event: self.held.discard(event.key))
+        self.canvas.mpl_connect("close_event", lambda event: self.held.add("close"))
+
+    def reset(self, env, robots):
+        """Does nothing: an episode begins when there is a message."""
+
+    def act(self, env, observations):
+        """Shows the observation. Returns the action (1, 2) of the keys in a control period."""
+        distance, bearing = observations["target"][0]
+        self.picture.set_data(observations["image"][0])
+        self.title.set_text(
+            f"target {distance:.2f} m, {abs(np.degrees(bearing)):.0f} deg to the "
+            f"{'left' if bearing > 0 else 'right'}\n"
+            f"last reward {observations['last_reward'][0, 0]:+.1f}\n{self.message}")
+        self.canvas.draw_idle()
+        while self.message and "enter" not in self.keys(0.01):
+            pass
+        self.message = ""
+        keys = self.keys(CONTROL_PERIOD)
+        return np.array([["up" in keys, ("left" in keys) - ("right" in keys)]], float)
+
+    def keys(self, seconds):
+        """Returns the keys held after some seconds or pressed within them. Raises RuntimeError."""
+        self.pressed.clear()
+        until = time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            self.canvas.flush_events()
+            time.sleep(0.005)
+        if "close" in self.held:
+            raise RuntimeError("the window was closed: nothing of the drive is kept")
+        return self.held | self.pressed
 
 
-def add_rows(file, options, traces):
-    """Adds a row for each episode to a CSV file. Raises WriteError."""
+def same_tasks(driver, scene, episodes, seed):
+    """Yields the Traces of a driver on the tasks of a seed, which are the same for every driver."""
+    env = make_environment("anywhere", [scene], [0], environment=environment_of([scene]))
+    for k in range(episodes):  # each has its own seed: some rooms draw numbers at each step
+        yield from drive(driver, env, [1], 1000 * seed + k)
+
+
+def policy_for(scene):
+    """Returns a name and the policy trained in this room, or else that of random rooms."""
+    weights = PRETRAINED / f"{scene.name}.safetensors"
+    weights = weights if weights.exists() else PRETRAINED / "any-room.safetensors"
+    return f"learner ({weights.name})", Policy(load_model(weights)[0], "mean", seed=0)
+
+
+def rows_of(traces, name="", env="", seed=0):
+    """Returns the rows of drives.csv of a driver's Traces, as dicts."""
     paths = ShortestPaths()
-    before = file.read_bytes() if file.exists() else csv_text([COLUMNS]).encode()
     rows = []
     for k, trace in enumerate(traces):
         shortest = paths.metres(trace.scene, trace.start, trace.goal)
-        row = {"name": options.name, "env": options.env, "seed": options.seed, "episode": k,
-               "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
-               "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
-               "spl": round(spl(trace.arrived, shortest, trace.metres), 3)}
-        rows.append([row[column] for column in COLUMNS])
-    write(file, before + csv_text(rows).encode())
+        rows.append({"name": name, "env": env, "seed": seed, "episode": k,
+                     "outcome": trace.outcome, "seconds": round(trace.seconds, 1),
+                     "metres": round(trace.metres, 2), "shortest": round(shortest, 2),
+                     "spl": round(spl(trace.arrived, shortest, trace.metres), 3)})
+    return rows
+
+
+def summary(rows):
+    """Returns the success rate of rows, its 95 % interval, mean SPL, mean time to arrive [s]."""
+    seconds = [row["seconds"] for row in rows if row["outcome"] == "arrival"]
+    low, high = wilson(len(seconds), len(rows))
+    return {"success": len(seconds) / len(rows), "low": low, "high": high,
+            "spl": np.mean([row["spl"] for row in rows]),
+            "seconds": np.mean(seconds) if seconds else np.nan}
+
+
+def table(results):
+    """Returns a table as text. results: pairs of a name and what `summary` returns."""
+    line = "{:30}  {success:7.0%}   [{low:4.0%}, {high:4.0%}]  {spl:4.2f}  {seconds:.1f}"
+    lines = [line.format(name, **result) for name, result in results]
+    return "\n".join([f"{'':30}  arrives  95 % interval   SPL  seconds to arrive", *lines])
 
 
 def main(argv=None):
-    """The command line: you drive, then the others do, and all are compared."""
-    interruption.handle("interrupted: nothing of this drive is kept")
-    parser = CommandLine("Drive the robot yourself, by what it sees.")
-    options = parser.read(Options, argv)
+    """Lets you drive, then the policy and the planners, and compares all of them."""
+    options, parser = parse(Options, "Drive the robot yourself, by what it sees.", argv)
+    folder = Path(options.out)
     try:
         scene = scenes.load(options.env)
-        cockpit = Cockpit(scene, options.map)
-    except (SceneError, RuntimeError) as error:
+        you = You(open_window())
+        folder.mkdir(parents=True, exist_ok=True)  # before the drive: it may fail
+        yours = []
+        for trace in same_tasks(you, scene, options.episodes, options.seed):
+            yours.append(trace)
+            you.message = f"{trace.outcome}, reward {trace.rewards[-1]:+.1f}: press Enter again"
+        rows = rows_of(yours, options.name, options.env, options.seed)
+        with open(folder / "drives.csv", "a", newline="", encoding="utf-8") as text:
+            writer = csv.DictWriter(text, rows[0])
+            if text.tell() == 0:
+                writer.writeheader()
+            writer.writerows(rows)
+    except (SceneError, ImportError, RuntimeError, OSError) as error:
         parser.error(error)
-    folder = Path(options.out)
-    parser.must_write_to(folder)
-    for file in (folder / "drives.csv", folder / "paths.png"):
-        if file.is_dir():
-            parser.error(f"'{file}' is a folder: move it away, or choose another --out")
-    you = You(cockpit)
-    try:
-        yours = same_tasks(you, scene, options.episodes, options.seed, you.tell)
-    except Closed:
-        parser.error("the window was closed: nothing of this drive is kept")
-    cockpit.close()
-    learner, name = policy_for(scene)
-    its = same_tasks(learner, scene, options.episodes, options.seed)
-    others = [(planner, same_tasks(Planned(planner, 0), scene, options.episodes, options.seed))
-              for planner in OTHERS]
-    print(table([(options.name, yours), (name, its), *others]))
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        add_rows(folder / "drives.csv", options, yours)
-        write(folder / "paths.png", partial(draw_paths(scene, yours, its).savefig, dpi=110))
-    except WriteError as error:
-        sys.exit(f"error: {error}")
-    print(f"paths and drives.csv: {folder}")
+    plt.close("all")
+    drives = [(options.name, yours)]
+    for name, driver in [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]:
+        drives.append((name, list(same_tasks(driver, scene, options.episodes, options.seed))))
+    figure = Figure(figsize=(2.5 * WIDTH, 4.5), layout="constrained")
+    for axes, (name, traces) in zip(figure.subplots(1, len(drives)), drives):
+        draw_room(axes, scene)
+        axes.set_title(name, parse_math=False)
+        for trace in traces:
+            draw_target(axes, scene, trace.goal)
+            draw_robot(axes, trace.start)
+            draw_path(axes, trace)
+    save(figure, folder / "paths.png")
+    print(table([(name, summary(rows_of(traces))) for name, traces in drives]))
+    print(f"paths.png and drives.csv: {folder}")
 
 
 if __name__ == "__main__":

@@ -2,17 +2,14 @@
 
 What is paid is a choice, and the robot learns what pays, which is not always what was meant. The
 project pays by Eq. (4) (`navbot_min.py`, `rewards`); whether yours is better is judged on
-validation targets, for whoever tunes on the new ones has no exam left.
+validation targets: if you tune on the new ones, no test is left.
 """
-
-from unittest.mock import patch
 
 import numpy as np
 
 import navbot_min
 import scenes
 from evaluation import Policy, evaluate
-from support.processes import OneProcess
 from train import Config, Training, train
 
 STEPS = 60_000  # of each training, a minute or less
@@ -46,13 +43,17 @@ def test_arriving_pays_more_than_a_step_and_a_touch_less():
 
 
 def learnt(paid, seed):
-    """Success on env1's validation targets after a training that was paid so."""
-    scene = scenes.load("env1")
-    config = Config(steps=STEPS, seed=seed, fixed_budget=True)
-    with patch.object(navbot_min, "rewards", paid):
-        training = Training(config, [scene], OneProcess())
-        train(training)
-    result, _ = evaluate(Policy(training.model, "sampled", seed), [scene], EPISODES, "validation")
+    """Success on env1's validation targets after a training with these rewards."""
+
+    class Environment(navbot_min.NavVecEnv):
+        def reward(self, before, after, arrived, failed):
+            return paid(before, after, arrived, failed)
+
+    room = scenes.load("env1")
+    training = Training(Config(steps=STEPS, seed=seed, fixed_budget=True), [room])
+    training.environment = Environment
+    train(training)
+    result, _ = evaluate(Policy(training.model, "sampled", seed), [room], EPISODES, "validation")
     return result["validation"]["success"]
 
 

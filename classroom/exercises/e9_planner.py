@@ -6,7 +6,7 @@ readings, and no map. The project's are in `evaluation/planners.py`; `Braitenber
 
 import scenes
 from evaluation import Planned, evaluate, table
-from evaluation.planners import ANGLES, PLANNERS, Planner  # ANGLES: (72,), of the readings
+from evaluation.planners import ANGLES, PLANNERS, Planner  # noqa: F401  ANGLES (72,) is for you
 
 ROOMS = ("env1", "env2", "maze3")
 BETTER = 0.2  # than driving straight, as a share of the episodes: 20 points

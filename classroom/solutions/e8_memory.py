@@ -3,15 +3,15 @@
 import torch
 
 
-def run_row(cell, x, mask):
-    """Step by step; one that is no step of an episode empties the memory."""
-    empty = torch.zeros(1, cell.hidden_size)
-    h, c = empty, empty
+def run_robots(cell, x, ended):
+    """Step by step; a robot whose episode has ended continues with an empty memory."""
+    h = torch.zeros(x.shape[1], cell.hidden_size)
+    c = torch.zeros(x.shape[1], cell.hidden_size)
     out = []
     for t in range(len(x)):
-        if mask[t]:
-            h, c = cell(x[t:t + 1], (h, c))
-        else:
-            h, c = empty, empty
-        out.append(h[0])
+        h, c = cell(x[t], (h, c))
+        out.append(h)
+        goes_on = ~ended[t][:, None]  # (R, 1)
+        h = h * goes_on
+        c = c * goes_on
     return torch.stack(out)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from evaluation.planners import ANGLES, MARGIN, Planner, polar, room_ahead
+from evaluation.planners import MARGIN, Planner, polar, room_ahead
 
 DIRECTIONS = np.radians(np.arange(-90, 91, 10))
 ENOUGH = 0.8  # [m] more room than that is as good
