@@ -1,265 +1,339 @@
 """The figures of the results: `python -m experiments.figures` draws all of them into pictures/.
+Tables are as `experiments.tables.read` returns them. Paths are fresh episodes of pretrained/."""
 
-Curves, floors and the benchmark come from the tables in results/; paths and the film are fresh
-episodes of the policies in pretrained/.
-"""
-
-import json
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
+from functools import partial
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import scenes
 from evaluation import PATCH, Assignment, Policy, film_episode, rollouts
-from experiments import gallery
-from experiments.runs import RESULTS, ROOT
+from experiments.runs import TEST_ROOMS
+from experiments.tables import LAB, ROOMS_LEARNT, ROOT, read
+from render import Camera
+from robot.environment import RealVecEnv
+from robot.lab import LabRobot
+from robot.looks import DrawnCamera, LabCamera
+from robot.mapping import OccupancyGrid
+from robot.policy import TorchPolicy
+from robot.robot import drive
+from scenes.generate import share_blocked, walls
+from scenes.reality import parse_reality
+from sim import Scene
+from support.cli import option, parse
 from support.film import write_film
-from support.pictures import (PALETTE, SPACING, WIDTH, WINDOW, draw_curves, draw_path, draw_robot,
+from support.pictures import (PALETTE, SPACING, WIDTH, WINDOW, draw_floor, draw_path, draw_robot,
                               draw_room, draw_target, draw_trajectories, floor_handles,
-                              outcome_handle, paint_floor, read_table, released_curve,
-                              start_handle, target_handle)
-from support.weights import load_run
-from support.traces import OUTCOMES
-from train import SUCCESS_RATE
-
-DPI = 130
+                              legend_below, paint_floor, released_curve, start_handle)
+from support.weights import load_model
 
 ENVS = ("env1", "env2")
-WAYS = {  # to train: the name of each, and the mark of its frozen policies
-    "one-start": ("one start pose", {"marker": "s", "ms": 6, "ls": "none", "mfc": "none"}),
-    "varied": ("starts anywhere, and mirrored",
-               {"marker": "o", "ms": 7, "ls": "none", "mfc": "none"})}
-BESIDE = {"one-start": 1.03, "varied": 1.07}  # budgets: where its frozen policies are drawn
-SEEDS = "01234"
-HIDDEN = {"": "nothing hidden", "place": "place hidden", "cube": "cube hidden"}
-HIDDEN_EPISODES = 8  # of each panel of `draw_hidden`
-PATHS = 20  # to each target in Fig. 6
-STAGES = {"env_sps": ("environment step", "o", "-"),  # of the benchmark: name, mark and line
-          "camera_fps": ("camera image", "s", "--"),
-          "world_sps": ("world step", "^", ":")}
+WAYS = {"one-start": "one start pose", "varied": "starts anywhere, and mirrored"}  # to train
 
 
-def select(rows, **values):
-    """Those rows of a table that have these values."""
-    return [row for row in rows if all(row[key] == value for key, value in values.items())]
+def page(height, rows=1, columns=1, **options):
+    """Returns an empty Figure, WIDTH x height [inch], and its panels. options: as of subplots."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
 
 
-def way_handles():
-    """A legend's entries for the ways to train."""
-    return [Line2D([], [], color=PALETTE[way], lw=1.5, label=name)
-            for way, (name, _) in WAYS.items()]
+def pretrained(name, actions="sampled"):
+    """Returns a driver with a policy of pretrained/, and the first of its scenes."""
+    model, rooms = load_model(ROOT / "pretrained" / f"{name}.safetensors")
+    return Policy(model, actions, seed=0), rooms[0]
 
 
-def draw_training(axes, curves, seeds, env):
-    """Draws one panel of `draw_memorizing_reasoning`. The frozen policies stand beside the curves,
-    each way's apart, so that none hides the other's."""
-    for way, (_, mark) in WAYS.items():
-        for seed in SEEDS:
-            points = select(curves, env=env, way=way, seed=seed, kind="new")
-            axes.plot([float(row["steps"]) / 1000 for row in points],
-                      [100 * float(row["success"]) for row in points],
-                      color=PALETTE[way], lw=1.2, alpha=0.8)
-        ends = select(seeds, env=env, way=way)
-        budget = max(float(row["steps"]) for row in ends) / 1000
-        axes.plot([BESIDE[way] * budget] * len(ends),
-                  [100 * float(row["new_success"]) for row in ends], color=PALETTE[way],
-                  clip_on=False, zorder=3, **mark)
-    axes.axvline(1.005 * budget, color=PALETTE["robot"], lw=0.8, ls=":")
-    axes.text(1.05 * budget, 50, "frozen", rotation=90, ha="center", va="center", fontsize=9)
-    axes.set(title=env, xlabel="steps [thousands]", xlim=(0, 1.1 * budget), ylim=(-3, 103))
-    axes.grid(alpha=0.3)
+def draw_images(panels, images):
+    """Shows images of the camera, one in each panel. images: title -> (H, W, 3)."""
+    for axes, (title, image) in zip(panels, images.items()):
+        axes.imshow(image)
+        axes.set_title(title, fontsize=8)
+        axes.axis("off")
+
+
+def draw_paths(axes, scene, traces, title):
+    """Draws the paths of traces over a map, and how many arrive."""
+    draw_room(axes, scene)
+    for trace in traces:
+        draw_path(axes, trace, alpha=0.7, lw=0.9, label=trace.outcome)
+        axes.plot(*trace.start[:2], "o", color=PALETTE["robot"], ms=3, label="start")
+    arrived = sum(trace.arrived for trace in traces)
+    axes.set(xlabel=f"{title}: {arrived} of {len(traces)} arrive", ylabel="", xticks=[], yticks=[])
 
 
 def draw_memorizing_reasoning(curves, seeds):
-    """Success on new targets against steps, both ways, every seed, and the frozen last policies.
-
-    curves, seeds: rows of `results/curves.csv` and `results/seeds.csv`. Returns a Figure.
-    """
-    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
-    for axes, env in zip(figure.subplots(1, 2, sharey=True), ENVS):
-        draw_training(axes, curves, seeds, env)
-    figure.axes[0].set_ylabel(f"new targets reached,\nlast {WINDOW} episodes [%]")
-    handles = []
-    for way, (name, mark) in WAYS.items():
-        handles.append(Line2D([], [], color=PALETTE[way], label=f"{name}: while training"))
-        handles.append(Line2D([], [], color=PALETTE[way], label=f"{name}: last policies, frozen",
-                              **mark))
-    first, second = (int(row["episodes"]) for row in curves[:2])
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9,
-                  title=f"a curve has a point every {second - first} episodes to new targets, "
-                        "so some end before the budget (dotted)", title_fontsize=9)
+    """Draws success on new targets against steps, and that of the frozen last policies."""
+    figure, panels = page(4.1, 1, 2, sharey=True)
+    for axes, env in zip(panels, ENVS):
+        budget = seeds[seeds.env == env].steps.max() / 1000
+        for place, mark, (way, name) in zip((1.03, 1.07), "so", WAYS.items()):
+            ours = curves.query("env == @env and way == @way and kind == 'new'")
+            for _, run in ours.groupby("seed"):
+                axes.plot(run.steps / 1000, run.success, lw=1.2, alpha=0.8,
+                          color=PALETTE[way], label=f"{name}: while training")
+            frozen = seeds.query("env == @env and way == @way").new_success
+            axes.plot([place * budget] * len(frozen), frozen, mark, ms=6.5, mfc="none",
+                      color=PALETTE[way], label=f"{name}: last policies, frozen")
+        axes.set(title=env, xlabel="steps [thousands]", xlim=(0, 1.1 * budget), ylim=(-3, 103))
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel(f"new targets reached,\nlast {WINDOW} episodes [%]")
+    legend_below(figure, ncols=2)
     return figure
 
 
 def draw_learning(curves, env):
-    """Fig. 4 (env1) or 5 (env2) over the five seeds, the paper's curves behind.
-
-    curves: rows of `results/curves.csv`. Returns a Figure.
-    """
-    figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
-    panels = figure.subplots(2, 2, sharey="row", sharex="col")
-    for column, kind in enumerate(("training", "new")):
-        theirs = released_curve(env, kind)
-        ours = {way: [select(curves, env=env, way=way, seed=seed, kind=kind) for seed in SEEDS]
-                for way in WAYS}
-        for i, (key, scale) in enumerate((("success", 100), ("return", 1))):
-            axes = panels[i, column]
-            axes.plot(theirs[0], theirs[i + 1], color=PALETTE["paper"], lw=2)
-            for way, runs in ours.items():
-                for points in runs:
-                    axes.plot([int(row["episodes"]) for row in points],
-                              [scale * float(row[key]) for row in points],
-                              color=PALETTE[way], lw=1, alpha=0.75)
-            axes.set_xscale("log")
+    """Draws Fig. 4 (env1) or 5 (env2) over all seeds, the paper's curves behind."""
+    figure, panels = page(5.8, 2, 2, sharey="row", sharex="col")
+    for column, kind in zip(panels.T, ("training", "new")):
+        ours = curves.query("env == @env and kind == @kind")
+        episodes, *theirs = released_curve(env, kind)
+        for axes, key, values in zip(column, ("success", "return"), theirs):
+            axes.semilogx(episodes, values, color=PALETTE["paper"], label="the paper's run")
+            for (way, _), run in ours.groupby(["way", "seed"]):
+                axes.plot(run.episodes, run[key], color=PALETTE[way], lw=1, label=WAYS[way])
             axes.grid(alpha=0.3)
-        panels[0, column].set_ylim(-3, 103)
-        panels[0, column].set_title(f"{kind} targets", color=PALETTE[kind], weight="bold")
-        window = str(WINDOW)
-        if SPACING[env][kind] != WINDOW:
-            window += f" (paper: {SPACING[env][kind]})"
-        panels[1, column].set(xlabel=f"episodes to {kind} targets",
-                              ylabel=f"average reward of an episode,\nlast {window} episodes")
-    panels[0, 0].set_ylabel(f"success rate,\nlast {WINDOW} episodes [%]")
-    paper = Line2D([], [], color=PALETTE["paper"], lw=2, label="the paper's run, released records")
-    figure.legend(handles=[paper, *way_handles()], loc="outside lower center", ncols=3,
-                  frameon=False, fontsize=9)
-    figure.suptitle(f"{env}: five seeds of each way to train, and the paper's run")
+        column[0].set_title(f"{env}, {kind} targets", color=PALETTE[kind], weight="bold")
+        column[1].set(xlabel=f"episodes to {kind} targets", ylabel="average reward, last "
+                      f"{WINDOW}\n(paper: {SPACING[env][kind]}) episodes")
+    panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
+    legend_below(figure, ncols=3)
     return figure
 
 
-def draw_floors(rows, rooms, patch):
-    """Where robots arrive that were trained in two ways, on validation targets, from the start.
-
-    rows: of `results/floor.csv`, all seeds. rooms: Scenes. Returns a Figure.
-    """
-    figure = Figure(figsize=(WIDTH, 6), layout="constrained")
-    panels = figure.subplots(len(WAYS), len(rooms), squeeze=False)
-    any_grey = False
-    for row, (way, (name, _)) in zip(panels, WAYS.items()):
+def draw_floors(floor, rooms):
+    """Draws the success of both ways from the start pose to each patch of the floor."""
+    figure, panels = page(6, len(WAYS), len(rooms), squeeze=False)
+    for row, (way, name) in zip(panels, WAYS.items()):
         for axes, scene in zip(row, rooms):
-            chosen = select(rows, env=scene.name, way=way)
-            n = [int(spot["n"]) for spot in chosen]
-            goals = [(float(spot["x"]), float(spot["y"])) for spot in chosen]
-            success = [float(spot["success"]) for spot in chosen]
-            mesh, grey = paint_floor(axes, scene, np.repeat(goals, n, axis=0),
-                                     np.repeat(success, n), patch)
-            any_grey |= grey
+            spots = floor.query("env == @scene.name and way == @way")
+            each = spots.loc[spots.index.repeat(spots.n)]  # episodes count alike, seeds do not
+            mesh = paint_floor(axes, scene, each[["x", "y"]].to_numpy(), each.success / 100, PATCH)
             draw_robot(axes, scene.start)
             axes.set_title(f"{scene.name}: {name}", fontsize=10)
-    figure.colorbar(mesh, ax=panels, label="episodes that arrive,\nmean over five seeds [%]",
-                    shrink=0.7)
-    figure.legend(handles=[start_handle(), *floor_handles(rooms[0], any_grey)],
-                  loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    figure.colorbar(mesh, ax=panels, shrink=0.7, label="episodes that arrive, all seeds [%]")
+    legend_below(figure, [start_handle(), *floor_handles(rooms[0])], ncols=5)
     return figure
 
 
-def draw_hidden(scene_traces):
-    """What a policy does whose target is hidden: its paths from the start to one target, a row for
-    each scene, a column for what is hidden.
-
-    scene_traces: (scene, what is hidden -> Traces) for each row. Returns a Figure.
-    """
-    figure = Figure(figsize=(WIDTH, 2.3 * len(scene_traces) + 0.8), layout="constrained")
-    panels = figure.subplots(len(scene_traces), len(HIDDEN), squeeze=False, sharey="row")
-    met = set()
-    for row, (scene, traces_of) in zip(panels, scene_traces):
-        for axes, (hidden, name) in zip(row, HIDDEN.items()):
-            traces = traces_of[hidden]
-            draw_room(axes, scene)
-            for trace in traces:
-                draw_path(axes, trace, lw=1, alpha=0.7)
-            draw_robot(axes, traces[0].start)
-            draw_target(axes, scene, traces[0].goal, ring=True)
-            arrived = sum(trace.arrived for trace in traces)
-            axes.set_title(f"{name}: {arrived} of {len(traces)} arrive", fontsize=9)
-            axes.set_ylabel("")
-            met |= {trace.outcome for trace in traces}
-        row[0].set_ylabel(f"{scene.name}\ny [m]")
-    figure.suptitle(f"paths of seed 0 ({WAYS['varied'][0]}), parts of its target hidden",
-                    fontsize=10)
-    outcomes = [outcome_handle(outcome) for outcome in OUTCOMES if outcome in met]
-    figure.legend(handles=[start_handle(), target_handle("new"), *outcomes],
-                  loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+def draw_hidden():
+    """Draws eight paths from the start to the last new target, parts of which are hidden."""
+    figure, panels = page(4.4, len(ENVS), 3)
+    for row, env in zip(panels, ENVS):
+        driver, scene = pretrained(env)
+        robots = [Assignment(scene, len(scene.targets) - 1, 1)] * 8
+        for axes, hidden in zip(row, ("", "place", "cube")):
+            traces = rollouts(driver, robots, hidden=hidden)
+            draw_paths(axes, scene, traces, f"{env}, {hidden or 'nothing'} hidden")
+            draw_robot(axes, scene.start)
+            draw_target(axes, scene, traces[0].goal, ring=True, label="new target")
+    legend_below(figure, ncols=5)
     return figure
 
 
-def draw_benchmark(figures):
-    """What an image, a world step and an environment step cost against the number of robots, and
-    an image against the number of boxes. figures: what `benchmark.json` holds. Returns a Figure."""
-    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for key, (name, mark, line) in STAGES.items():
-        robots = [int(R) for R in figures[key]]
-        cost = [1e6 / rate for rate in figures[key].values()]  # [µs]
-        left.plot(robots, cost, color=PALETTE["robot"], marker=mark, ls=line, label=name)
-    left.set(xscale="log", yscale="log", xlabel="robots R, side by side (log scale)",
-             ylabel="cost for one robot [µs] (log scale)", title="env1, one core", xticks=robots,
-             xticklabels=robots)
-    left.minorticks_off()
-    left.legend(frameon=False)
-    boxes = [int(B) for B in figures["camera_fps_boxes"]]
-    cost = [1e6 / rate for rate in figures["camera_fps_boxes"].values()]
-    _, mark, _ = STAGES["camera_fps"]
-    right.plot(boxes, cost, color=PALETTE["robot"], marker=mark, ls="none")
-    right.set(xlim=(0, None), ylim=(0, None), xlabel="boxes in the room, four of them walls",
-              ylabel="cost of one camera image [µs]", title="R = 32, one core", xticks=boxes)
-    for axes in (left, right):
+def draw_fig6(env):
+    """Draws 20 paths of a policy from the start to each target."""
+    driver, scene = pretrained(env)
+    robots = [Assignment(scene, k, 1) for k in range(len(scene.targets)) for _ in range(20)]
+    return draw_trajectories(scene, rollouts(driver, robots))
+
+
+def draw_rooms():
+    """Draws rooms from above, the test rooms in a frame, with the fraction of blocked ways."""
+    figure, panels = page(6.75, 5, 5)
+    for axes, name in zip(panels.flat, (*TEST_ROOMS, *(f"random:{k}" for k in range(20)))):
+        scene = scenes.load(name)
+        draw_room(axes, scene)
+        axes.set(xlabel=f"{name}, {share_blocked(scene):.0%}", ylabel="", xticks=[], yticks=[])
+        axes.spines[:].set(lw=2.5 if name in TEST_ROOMS else 0, color=PALETTE["run"])
+    return figure
+
+
+def draw_rooms_learnt(level3, rooms):
+    """Draws success with random starts and targets, all seeds and their mean, by training rooms."""
+    in_tests = rooms[rooms.targets == "anywhere"].groupby(["way", "seed"]).success.mean()
+    runs = level3[level3.way.isin(ROOMS_LEARNT)].join(in_tests, on=["way", "seed"])
+    runs["place"] = runs.way.map(list(ROOMS_LEARNT).index)
+    means = runs.groupby("place").mean(numeric_only=True)
+    figure, axes = page(4.2)
+    for column, colour, mark, name in (
+            ("training_success", "training", "s", "the rooms that it learnt in"),
+            ("validation_success", "new", "o", "random rooms that it never saw"),
+            ("success", "run", "^", "the test rooms, which it never saw either")):
+        axes.plot(runs.place, runs[column], mark, color=PALETTE[colour], ms=4)
+        axes.plot(means[column], mark + "-", color=PALETTE[colour], ms=7, label=name)
+    axes.set(xticks=range(len(ROOMS_LEARNT)), xticklabels=ROOMS_LEARNT.values(), ylim=(30, 103),
+             xlabel="rooms learnt in", ylabel="success from anywhere\nto anywhere [%]")
+    axes.grid(alpha=0.3)
+    legend_below(figure)
+    return figure
+
+
+def draw_any_room():
+    """Draws 24 paths from random starts to random targets in each of the held-out rooms."""
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    robots = [Assignment(scenes.load(name), 0, 1) for name in TEST_ROOMS for _ in range(24)]
+    traces = rollouts(pretrained("any-room", "mean")[0], robots, "anywhere")
+    for axes, name in zip(figure.subplot_mosaic("001122;.3344.").values(), TEST_ROOMS):
+        here = [trace for trace in traces if trace.scene.name == name]
+        draw_paths(axes, here[0].scene, here, name)
+    legend_below(figure, ncols=4)
+    return figure
+
+
+def draw_any_room_floor():
+    """Draws the success on each patch of the floor of a held-out room, one of the two hardest."""
+    scene = scenes.load("maze0")
+    robots = [Assignment(scene, 0, 10)] * 150
+    traces = rollouts(pretrained("any-room", "mean")[0], robots, "anywhere")
+    return draw_floor(replace(scene, training_targets=(), new_targets=()), traces, PATCH)
+
+
+POSE = (0.5, -2.2, 3.3)  # in env2, from which the images are seen
+SEEN = {"look": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75), "camera_yaw_degrees": 6,
+        "camera_pitch_degrees": -6, "image_delay": 1}  # as in a room's file, larger than in the lab
+DRIVEN = {"distance_drift": 0.15, "turn_drift": 0.15, "wheel_gains": (1, 0.93)}
+
+
+def driven(scene, start, seed, commands, **errors):
+    """Returns the last image that a robot sees, its true path (T, 2), and that by its odometry."""
+    scene = replace(scene, reality=parse_reality(errors, True))
+    env = RealVecEnv(1, [scene], max_episode_steps=-1)
+    env.reset(seed=seed, options={"start": start, "target": 0})
+    places = []
+    for command in commands:
+        seen, *_ = env.step(np.array([command]))
+        places.append((env.world.poses[0, :2], env.estimates[0, :2].copy()))
+    return seen["image"][0], *np.swapaxes(places, 0, 1)
+
+
+def draw_reality():
+    """Draws each error of the lab on its own against the simulation."""
+    figure, panels = page(3.6, 2, 5)
+    turn = partial(driven, scenes.load("env2"), POSE, 1, [(0.0, 0.5)] * 3)
+    images = {f"{error}: {size}": turn(**{error: size})[0] for error, size in SEEN.items()}
+    draw_images(panels.flat, {"simulation": turn()[0]} | images)
+    floor = Scene("floor", tuple(walls(9.0, 9.0)), (-2.0, 0.0, 0.0), ((4.0, 4.0),), ())
+    s_shape = [(0.8, 0.6 * np.cos(k / 4)) for k in range(30)]
+    drive_s = partial(driven, floor, floor.start, 5, s_shape)
+    for axes, (error, size) in zip(panels.flat[-len(DRIVEN):], DRIVEN.items()):
+        _, true, by_odometry = drive_s(**{error: size})
+        axes.plot(*drive_s()[1].T, color=PALETTE["paper"], lw=3, label="simulation")
+        axes.plot(*true.T, color=PALETTE["robot"], label="true path")
+        axes.plot(*by_odometry.T, "--", color=PALETTE["collision"], label="by odometry")
+        axes.set(xlabel=f"{error}: {size}", xticks=[], yticks=[], aspect="equal")
+    legend_below(figure, ncols=3)
+    return figure
+
+
+def draw_looks():
+    """Draws env2 as the simulation shows it, as the lab would, and in looks that are drawn."""
+    figure, panels = page(3.2, 2, 5)
+    scene = [scenes.load("env2")]
+    cameras = {"simulation": Camera(scene), "the lab's": LabCamera(scene),
+               **{f"drawn, {seed}": DrawnCamera(scene, seed) for seed in range(8)}}
+    view = np.array([0]), np.array([POSE]), np.array([scene[0].targets[0]])
+    draw_images(panels.flat, {name: camera.render(*view)[0] for name, camera in cameras.items()})
+    return figure
+
+
+def draw_lab(lab, lab_curves):
+    """Draws what policies do in the lab against the episodes that they learnt there."""
+    lab = lab.assign(collision=(lab.training_collision + lab.new_collision) / 2,
+                     stops=(lab.training_stops + lab.new_stops) / 2)
+    figure, panels = page(4.6, 1, 3)
+    titles = "success on new targets [%]", "collisions per 100 episodes", "stops per episode"
+    for axes, column, title in zip(panels, ("new_success", "collision", "stops"), titles):
+        for way, colour, mark in (("from-scratch", "paper", "s"), ("from-env2", "training", "o"),
+                                  ("from-any-room", "run", "^"), ("random-env2", "training", "P"),
+                                  ("random-rooms", "run", "X")):
+            mean = lab_curves[lab_curves.way == way].groupby("episodes").mean(numeric_only=True)
+            if column in mean:
+                axes.plot(mean[column], color=PALETTE[colour])
+            # At 0 episodes stand the weights that the way begins with.
+            frozen = lab[lab.way.isin((way, way.removeprefix("from-")))]
+            axes.plot(frozen.allowed, frozen[column], mark, color=PALETTE[colour], label=LAB[way])
+        axes.set(xlabel="episodes in the lab", ylabel=title, ylim=(0, None))
         axes.grid(alpha=0.3)
+    panels[0].plot(3000, 51, "*", ms=12, color=PALETTE["robot"], label="the paper's robot")  # IV-C
+    legend_below(figure, ncols=2, title="lines: mean while learning; marks: frozen policies")
     return figure
 
 
-# ------------------------------------------------------------------------------- what is drawn
+def draw_lab_map():
+    """Draws the paper's Fig. 8: an episode in the lab, and the map that the robot makes of it."""
+    scene = scenes.load("lab")
+    robot = LabRobot(scene, target=10, seed=3)  # the first new target; this episode arrives
+    log = drive(robot, TorchPolicy(pretrained("lab")[0].model), robot.goal)
+    grid = OccupancyGrid(scene.bounds)
+    for pose, readings in zip(log.poses, log.readings):
+        grid.add(pose, readings)
+    figure, axes = page(5.2)
+    axes.imshow(1 - grid.probability.T, origin="lower", cmap="gray", vmin=0, vmax=1,
+                extent=np.ravel(grid.bounds, "F"))
+    for box in scene.boxes:
+        axes.fill(*box.corners.T, fill=False, ec=PALETTE["brick"], lw=1.2, label="the room")
+    for poses, style, colour, label in ((robot.true_poses, "-", "robot", "true path"),
+                                        (log.poses, "--", "collision", "path by odometry")):
+        axes.plot(*np.array(poses)[:, :2].T, style, color=PALETTE[colour], label=label)
+    draw_target(axes, scene, robot.goal, ring=True)
+    draw_robot(axes, robot.true_poses[0])
+    legend_below(figure, ncols=3)
+    return figure
 
 
-def pretrained(env):
-    """A driver with the policy of that env in pretrained/, and its scene."""
-    model, rooms = load_run(ROOT / "pretrained" / f"{env}.pt")
-    return Policy(model, "sampled", seed=0), rooms[0]
+def draw_benchmark(benchmark):
+    """Draws what images and steps cost by the number of robots, and images by that of boxes."""
+    figure, (left, right) = page(3.6, 1, 2)
+    left.set(xscale="log", yscale="log", xlabel="robots R, side by side (log scale)",
+             ylabel="cost for one robot [µs] (log scale)", title="env1, one core")
+    for axes, key, name, style in (
+            (left, "env_sps", "environment step", "o-"), (left, "world_sps", "world step", "^:"),
+            (left, "camera_fps", "camera image", "s--"),
+            (right, "camera_fps_boxes", "camera image", "s")):
+        rates = pd.Series(benchmark[key])
+        counts = rates.index.astype(int)
+        axes.plot(counts, 1e6 / rates, style, color=PALETTE["robot"], label=name)
+        axes.set_xticks(counts, counts)
+        axes.grid(alpha=0.3)
+    left.legend(frameon=False)
+    right.set(xlim=(0, None), ylim=(0, None), xlabel="boxes in the room, four of them walls",
+              ylabel="cost of one camera image [µs]", title="R = 32, one core")
+    return figure
 
 
-def fig6(env):
-    """Paths of the policy in pretrained/ from the start to each target. Returns a Figure."""
-    driver, scene = pretrained(env)
-    robots = [Assignment(scene, target, 1) for target in range(len(scene.targets))
-              for _ in range(PATHS)]
-    return draw_trajectories(scene, rollouts(driver, robots), PATHS)
+FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the Trace of a film
+    "memorizing-reasoning.png":
+        lambda: draw_memorizing_reasoning(read("curves.csv"), read("seeds.csv")),
+    "fig4.png": lambda: draw_learning(read("curves.csv"), "env1"),
+    "fig5.png": lambda: draw_learning(read("curves.csv"), "env2"),
+    "floor.png": lambda: draw_floors(read("floor.csv"), [scenes.load(env) for env in ENVS]),
+    "fig6-env1.png": lambda: draw_fig6("env1"),
+    "fig6-env2.png": lambda: draw_fig6("env2"),
+    "hidden.png": draw_hidden,
+    "episode.gif": lambda: film_episode(*pretrained("env1")),
+    "rooms.png": draw_rooms,
+    "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
+    "any-room.png": draw_any_room,
+    "any-room-floor.png": draw_any_room_floor,
+    "any-room.gif": lambda: film_episode(  # this episode arrives; one in five or so does not
+        pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere", seed=6),
+    "reality.png": draw_reality,
+    "looks.png": draw_looks,
+    "lab.png": lambda: draw_lab(read("lab.csv"), read("lab-curves.csv")),
+    "lab-map.png": draw_lab_map,
+    "benchmark.png": lambda: draw_benchmark(read("benchmark.json"))}
 
 
-def hidden_paths(env):
-    """The scene, and what is hidden -> Traces to its last new target."""
-    driver, scene = pretrained(env)
-    robots = [Assignment(scene, len(scene.targets) - 1, 1)] * HIDDEN_EPISODES
-    return scene, {hidden: rollouts(driver, robots, hidden=hidden) for hidden in HIDDEN}
-
-
-def draw_all():
-    """Yields the name of each figure and the Figure."""
-    seeds = read_table(RESULTS / "seeds.csv")
-    curves = read_table(RESULTS / "curves.csv")
-    yield "memorizing-reasoning", draw_memorizing_reasoning(curves, seeds)
-    yield "fig4", draw_learning(curves, "env1")
-    yield "fig5", draw_learning(curves, "env2")
-    rooms = [scenes.load(env) for env in ENVS]
-    yield "floor", draw_floors(read_table(RESULTS / "floor.csv"), rooms, PATCH)
-    for env in ENVS:
-        yield f"fig6-{env}", fig6(env)
-    yield "hidden", draw_hidden([hidden_paths(env) for env in ENVS])
-    yield "benchmark", draw_benchmark(json.loads((RESULTS / "benchmark.json").read_text()))
-    run = ROOT / "runs" / "env1-seed0" / "episodes.csv"
-    if run.exists():  # of `python train.py --env env1`
-        yield "curves", draw_curves(read_table(run), "env1", SUCCESS_RATE)
-
-
-def main(argv=None):
-    """The command line."""
-    gallery.read_command_line("Draw every figure of the results into pictures/.", argv)
-    gallery.save(draw_all(), DPI)
-    driver, scene = pretrained("env1")
-    trace = replace(film_episode(driver, scene), label="driven by pretrained/env1.pt")
-    write_film(trace, gallery.PICTURES / "episode.gif")
-    print("pictures/episode.gif")
+def main(argv=None, pictures=FIGURES, description="Draw the figures of the results."):
+    """The command line. pictures: as FIGURES."""
+    only = option("", "draw only this picture", choices=["", *pictures])
+    options, _ = parse(make_dataclass("Options", [("only", str, only)]), description, argv)
+    for name in [options.only] if options.only else pictures:
+        write_picture = write_film if name.endswith("gif") else partial(Figure.savefig, dpi=130)
+        write_picture(pictures[name](), ROOT / "pictures" / name)
+        print(f"pictures/{name}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,229 +1,171 @@
-"""What `python -m experiments.benchmark --peers` times beside this project: two simulators, two
-learners.
+"""Other people's learners with this environment and network's sizes: RecurrentPPO of
+Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`), and a loop in the
+style of CleanRL's. Both learn from every step. Axis letters: R robots, T steps of an update."""
 
-A simulator runs headless with random actions, its images brought to 64x48. A learner gets this
-project's environment, with targets to train on alone, so that every step is learnt from, and our
-network's sizes; once with its own settings, as it comes, and once with our robots, epochs and
-minibatches, which is the same work. Each peer takes `rate(call, count)`, which times it, and
-returns steps a second; it raises ImportError where its packages are missing.
-
-Axis letters: R robots, T steps of an update.
-"""
-
-import os
-from dataclasses import dataclass
-from functools import partial
+from collections import namedtuple
 
 import numpy as np
 import torch
 
-from model import FEATURES, HIDDEN, LAST, REWARD_SCALE, TARGET, Network, make_network
-from navbot_min import MAX_EPISODE_STEPS, NavEnv, NavVecEnv
+from model import (FEATURES, HIDDEN, IMAGE_MEAN, IMAGE_SCALE, LAST, MAX_COMMAND, REWARD_SCALE,
+                   TARGET, TARGET_SCALE, make_cnn, make_network)
+from navbot_min import NavVecEnv
 from ppo import MAX_GRADIENT_NORM, VALUE_WEIGHT
 from train import Config
 
-
-@dataclass
-class Settings:
-    """How a learner works."""
-    robots: int
-    steps: int  # of each robot for an update
-    epochs: int
-    minibatches: int  # of an epoch
-
-
-# So many steps of our robots are about as many as an update's episodes have.
-OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches)
-RECURRENT_PPO = Settings(8, 128, 10, 8)  # its defaults: minibatches of 128 steps
-CLEANRL = Settings(8, 128, 4, 4)  # of CleanRL's PPO with an LSTM
-
-
-# --------------------------------------------------------------------------------------- simulators
-
-
-def miniworld(rate):
-    """MiniWorld (OpenGL; without a GPU in software), its four rooms."""
-    import pyglet
-    pyglet.options["headless"] = True
-    import gymnasium
-    import miniworld  # noqa: F401  registers its environments
-    env = gymnasium.make("MiniWorld-FourRooms-v0", obs_width=64, obs_height=48,
-                         disable_env_checker=True)
-    env.reset(seed=0)
-
-    def step():
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            env.reset()
-
-    return rate(step, 1)
-
-
-def vizdoom(rate):
-    """ViZDoom (C++), `my way home` at its lowest resolution, every other or third pixel taken."""
-    import vizdoom
-    game = vizdoom.DoomGame()
-    game.load_config(os.path.join(vizdoom.scenarios_path, "my_way_home.cfg"))
-    game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
-    game.set_screen_format(vizdoom.ScreenFormat.RGB24)
-    game.set_window_visible(False)
-    game.init()
-    actions = np.eye(game.get_available_buttons_size(), dtype=int).tolist()
-    rng = np.random.default_rng(0)
-    rows = np.arange(48) * 5 // 2
-    columns = np.arange(64) * 5 // 2
-
-    def step():
-        game.make_action(actions[rng.integers(len(actions))])
-        if game.is_episode_finished():
-            game.new_episode()
-        return game.get_state().screen_buffer[rows][:, columns]
-
-    return rate(step, 1)
-
-
-# ------------------------------------------------------------------------------------- RecurrentPPO
-
-
-def features_extractor():
-    """Our CNN as stable-baselines3 asks for it: a class."""
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-
-    class Features(BaseFeaturesExtractor):
-        def __init__(self, space):
-            super().__init__(space, FEATURES + TARGET + LAST)
-            cnn = Network().cnn
-            self.cnn = cnn.to(memory_format=torch.contiguous_format)  # as sb3 asks
-
-        def forward(self, seen):
-            images = seen["image"] * 255  # sb3 gives channels first, from 0 to 1
-            features = self.cnn(images.contiguous(memory_format=torch.channels_last))
-            return torch.cat([features, seen["target"], seen["velocity"], seen["last_reward"]], -1)
-
-    return Features
-
-
-def recurrent_ppo(rate, settings):
-    """sb3-contrib's RecurrentPPO."""
+try:
     from sb3_contrib import RecurrentPPO
-    from stable_baselines3.common.vec_env import DummyVecEnv
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError:  # without them there is only the CleanRL-style loop
+    RecurrentPPO = None
+    BaseFeaturesExtractor = VecEnv = object
 
-    def make_env():
-        return NavEnv(["env1"], "training", Config.random_starts, MAX_EPISODE_STEPS)
+Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate")
+# 32 steps of each of our robots are about what the episodes of an update have.
+OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches, Config.learning_rate)
+TASK = (["env1"], "training", Config.random_starts)  # of NavVecEnv: it is learned from every step
 
-    count = settings.robots * settings.steps
+
+class StableBaselinesEnv(VecEnv):
+    """A NavVecEnv as a vector environment of Stable-Baselines3."""
+
+    def __init__(self, env):
+        self.env = env
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self):
+        observations, _ = self.env.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        return observations
+
+    def step_async(self, actions):
+        self.actions = actions
+
+    def step_wait(self):
+        observations, rewards, terminated, truncated, infos = self.env.step(self.actions)
+        done = terminated | truncated
+        each = [{} for _ in done]
+        for r in np.flatnonzero(done):
+            info = {key: value[r] for key, value in infos["final_info"].items()}
+            last = {key: value[r] for key, value in infos["final_obs"].items()}
+            each[r] = info | {"terminal_observation": last, "TimeLimit.truncated": truncated[r],
+                              "episode": {"r": info["return"], "l": info["length"]}}
+        return observations, rewards.astype(np.float32), done, each
+
+    def get_attr(self, attr_name, indices=None):
+        return [getattr(self.env, attr_name)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class, indices=None):
+        return [False] * self.num_envs
+
+    set_attr = env_method = close = None  # a training does without them
+
+
+class Features(BaseFeaturesExtractor):
+    """Our CNN and the other inputs, as Stable-Baselines3 asks for them."""
+
+    def __init__(self, space):
+        super().__init__(space, FEATURES + TARGET + LAST)
+        self.cnn = make_cnn().to(memory_format=torch.contiguous_format)  # for its own first weights
+
+    def forward(self, seen):
+        images = (seen["image"] - IMAGE_MEAN) / IMAGE_SCALE  # channels first
+        features = self.cnn(images.contiguous(memory_format=torch.channels_last))
+        return torch.cat([features, seen["target"] * TARGET_SCALE,
+                          seen["velocity"] / torch.tensor(MAX_COMMAND),
+                          seen["last_reward"] * REWARD_SCALE], -1)
+
+
+def recurrent_ppo(settings):
+    """Returns a RecurrentPPO with our network's sizes. Its two LSTMs both get all inputs."""
     learner = RecurrentPPO(
-        "MultiInputLstmPolicy", DummyVecEnv([make_env] * settings.robots),
-        n_steps=settings.steps, n_epochs=settings.epochs,
-        batch_size=count // settings.minibatches, device="cpu", seed=0,
-        policy_kwargs={
-            "features_extractor_class": features_extractor(), "lstm_hidden_size": HIDDEN,
-            "n_lstm_layers": 2, "shared_lstm": True, "enable_critic_lstm": False,
-            "net_arch": [HIDDEN]})
+        "MultiInputLstmPolicy", StableBaselinesEnv(NavVecEnv(settings.robots, *TASK)),
+        learning_rate=settings.learning_rate, n_steps=settings.steps, n_epochs=settings.epochs,
+        batch_size=settings.robots * settings.steps // settings.minibatches, seed=0, device="cpu",
+        policy_kwargs=dict(features_extractor_class=Features, normalize_images=False,
+                           lstm_hidden_size=HIDDEN, n_lstm_layers=2, shared_lstm=True,
+                           enable_critic_lstm=False, net_arch=[HIDDEN]))
     learner.policy.features_extractor.to(memory_format=torch.channels_last)
-
-    def learn():
-        learner.learn(count, reset_num_timesteps=False)
-
-    return rate(learn, count, timings=3)
-
-
-# ------------------------------------------------------------------------------------ CleanRL-style
+    return learner
 
 
 class CleanRLStyle:
-    """PPO with an LSTM as CleanRL's single file does it: T steps of R robots, then the convolutions
-    at once and the LSTMs step by step, the memory cleared where an episode starts."""
+    """PPO with an LSTM as in CleanRL's single file: T steps of R robots, then an update."""
 
-    def __init__(self, settings):
-        R = settings.robots
+    def __init__(self, settings, seed=0):
         self.settings = settings
-        self.net = make_network(seed=0)
-        self.env = NavVecEnv(R, ["env1"], "training", Config.random_starts)
-        self.optimizer = torch.optim.Adam(self.net.parameters(), Config.learning_rate, eps=1e-5)
-        self.seen = tensors(self.env.reset(seed=0)[0])
-        self.start = torch.zeros(R)  # 1 where an episode starts with this step
-        self.memory = self.net.initial_state(R)
-        self.real = torch.ones(R, 1, dtype=torch.bool)
+        self.net = make_network(seed)
+        torch.manual_seed(seed)  # for actions and shuffles, as in CleanRL
+        self.optimizer = torch.optim.Adam(self.net.parameters(), eps=1e-5)
+        self.env = NavVecEnv(settings.robots, *TASK)
+        self.memory = self.net.initial_state(settings.robots)
+        seen = self.env.reset(seed=seed)[0] | {"start": np.ones(settings.robots, np.float32)}
+        self.seen = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
 
-    def forward(self, seen, starts, memory):
-        """Steps (T, R, ...) -> distribution (T, R, 2), values (T, R), memory after them."""
-        T, R = starts.shape
-        features = self.net.see(seen["image"].flatten(0, 1)).unflatten(0, (T, R))
-        last = torch.cat([seen["velocity"], seen["last_reward"]], -1)
+    def forward(self, steps, memory):
+        """Steps (T, R, ...), memory -> actions' distribution (T, R, 2), values (T, R), memory."""
+        features = self.net.see(steps["image"].flatten(0, 1)).unflatten(0, steps["start"].shape)
+        target = steps["target"] * TARGET_SCALE
+        velocity = steps["velocity"] / self.net.command_scale
+        last = torch.cat([velocity, steps["last_reward"] * REWARD_SCALE], -1)
         outputs = []
-        for t in range(T):
-            memory = memory * (1 - starts[t])[:, None, None, None]
-            step = (features[t][:, None], seen["target"][t][:, None], last[t][:, None])
-            y, memory = self.net.remember(*step, memory, self.real[:R])
+        for t, start in enumerate(steps["start"]):
+            memory = memory * (1 - start)[:, None, None, None]
+            y, memory = self.net.remember(features[t, :, None], target[t, :, None],
+                                          last[t, :, None], memory)
             outputs.append(y[:, 0])
         x = torch.relu(self.net.dense(torch.stack(outputs)))
         return self.net.policy(x), self.net.value(x)[..., 0], memory
 
     @torch.no_grad()
-    def step(self):
-        """One step of all robots, as it is stored."""
-        one = {key: value[None] for key, value in self.seen.items()}
-        distribution, values, self.memory = self.forward(one, self.start[None], self.memory)
-        action = distribution.sample()
-        stored = {**one, "start": self.start[None], "action": action, "value": values,
-                  "log_prob": distribution.log_prob(action).sum(-1)}
-        after, rewards, terminated, truncated, _ = self.env.step(action[0].numpy())
-        self.seen = tensors(after)
-        self.start = torch.as_tensor(terminated | truncated).float()
-        stored["reward"] = torch.as_tensor(rewards).float()[None]
-        return stored
+    def collect(self):
+        """Returns T steps, name -> (T, R, ...). The time limit counts as an end, as in CleanRL."""
+        history = []
+        for _ in range(self.settings.steps):
+            distribution, values, self.memory = self.forward(self.seen, self.memory)
+            actions = distribution.sample()
+            observations, rewards, terminated, truncated, _ = self.env.step(actions[0].numpy())
+            history.append(self.seen | {
+                "action": actions, "log_prob": distribution.log_prob(actions).sum(-1),
+                "value": values, "reward": torch.as_tensor(REWARD_SCALE * rewards)[None].float()})
+            seen = observations | {"start": np.float32(terminated | truncated)}
+            self.seen = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
+        steps = {key: torch.cat([step[key] for step in history]) for key in history[0]}
+        values = torch.cat([steps["value"], self.forward(self.seen, self.memory)[1]])
+        goes_on = 1 - torch.cat([steps["start"], self.seen["start"]])[1:]
+        A = steps["reward"] + Config.gamma * values[1:] * goes_on - values[:-1]
+        for t in reversed(range(len(A) - 1)):
+            A[t] += Config.gamma * Config.lam * goes_on[t] * A[t + 1]
+        return steps | {"advantage": A}
 
-    def advantages(self, steps):
-        """(T, R), a plain return over the value: enough for a timing."""
-        A = torch.zeros_like(steps["reward"])
-        following = torch.zeros(self.settings.robots)
-        going_on = 1 - self.start
-        for t in reversed(range(self.settings.steps)):
-            following = REWARD_SCALE * steps["reward"][t] + 0.99 * following * going_on
-            A[t] = following - steps["value"][t]
-            going_on = 1 - steps["start"][t]
-        return A
-
-    def losses(self, steps, A, robots, memory):
-        """The sum of the policy loss and the value loss of some of the robots."""
-        part = {key: value[:, robots] for key, value in steps.items()}
-        distribution, values, _ = self.forward(part, part["start"], memory[robots])
-        r = (distribution.log_prob(part["action"]).sum(-1) - part["log_prob"]).exp()
-        normalised = (A[:, robots] - A.mean()) / A.std()
-        objective = torch.min(r * normalised, r.clamp(0.8, 1.2) * normalised)
-        value_loss = (values - A[:, robots] - part["value"]).square().mean()
-        return -objective.mean() + VALUE_WEIGHT * value_loss
-
-    def learn(self):
-        """T steps of all robots, and the update by them."""
-        before = self.memory
-        stored = [self.step() for _ in range(self.settings.steps)]
-        steps = {key: torch.cat([one[key] for one in stored]) for key in stored[0]}
-        A = self.advantages(steps)
-        for _ in range(self.settings.epochs):
-            for robots in torch.randperm(self.settings.robots).chunk(self.settings.minibatches):
-                loss = self.losses(steps, A, robots, before)
-                self.optimizer.zero_grad()
-                loss.backward()
-                torch.nn.utils.clip_grad_norm_(self.net.parameters(), MAX_GRADIENT_NORM)
-                self.optimizer.step()
+    def learn(self, total):
+        """Learns from that many steps. A minibatch is of robots. The learning rate shrinks to 0."""
+        settings = self.settings
+        updates = total // (settings.robots * settings.steps)
+        for k in range(updates):
+            self.optimizer.param_groups[0]["lr"] = settings.learning_rate * (1 - k / updates)
+            memory = self.memory
+            steps = self.collect()
+            for _ in range(settings.epochs):
+                for robots in torch.randperm(settings.robots).chunk(settings.minibatches):
+                    part = {key: value[:, robots] for key, value in steps.items()}
+                    distribution, values, _ = self.forward(part, memory[robots])
+                    r = (distribution.log_prob(part["action"]).sum(-1) - part["log_prob"]).exp()
+                    A = part["advantage"]
+                    value_loss = torch.nn.functional.mse_loss(values, A + part["value"]) / 2
+                    A = (A - A.mean()) / (A.std() + 1e-8)
+                    objective = torch.min(r * A, r.clamp(1 - Config.clip, 1 + Config.clip) * A)
+                    entropy = distribution.entropy().sum(-1).mean()
+                    self.optimizer.zero_grad()  # and 0.01 is CleanRL's weight
+                    (VALUE_WEIGHT * value_loss - objective.mean() - 0.01 * entropy).backward()
+                    torch.nn.utils.clip_grad_norm_(self.net.parameters(), MAX_GRADIENT_NORM)
+                    self.optimizer.step()
 
 
-def tensors(observations):
-    """Observations as tensors."""
-    return {key: torch.as_tensor(value) for key, value in observations.items()}
-
-
-def cleanrl_style(rate, settings):
-    """A loop in the style of CleanRL."""
-    return rate(CleanRLStyle(settings).learn, settings.robots * settings.steps, timings=3)
-
-
-# name -> ("env" or "training": what of ours it is compared with, the peer)
-PEERS = {"MiniWorld": ("env", miniworld),
-         "ViZDoom": ("env", vizdoom),
-         "RecurrentPPO, as it comes": ("training", partial(recurrent_ppo, settings=RECURRENT_PPO)),
-         "RecurrentPPO, our work": ("training", partial(recurrent_ppo, settings=OUR_WORK)),
-         "CleanRL-style, as it comes": ("training", partial(cleanrl_style, settings=CLEANRL)),
-         "CleanRL-style, our work": ("training", partial(cleanrl_style, settings=OUR_WORK))}
+# name -> what makes the learner, and its settings; a learner has a method learn(steps)
+PEERS = {"CleanRL-style, as it comes": (CleanRLStyle, Settings(8, 128, 4, 4, 2.5e-4)),
+         "CleanRL-style, our work": (CleanRLStyle, OUR_WORK)}
+if RecurrentPPO is not None:  # by default it has minibatches of 128 steps
+    PEERS = {"RecurrentPPO, as it comes": (recurrent_ppo, Settings(8, 128, 10, 8, 3e-4)),
+             "RecurrentPPO, our work": (recurrent_ppo, OUR_WORK)} | PEERS

@@ -1,90 +1,181 @@
-"""Trains and examines everything that the tables and the figures of the results show.
+"""Makes all that the tables and figures show: `python -m experiments.results` trains and evaluates
+each run of `experiments.runs`. After an interruption, the same command continues."""
 
-`python -m experiments.results` trains each level, room, way and seed for a fixed budget of steps,
-some runs at a time with a core each, examines the frozen last policies, writes `results/*.csv`, and
-then the figures and the tables of the pages. What is there already is not made again:
-interrupted, it goes on where it was.
-"""
-
+import itertools
+import shutil
 import subprocess
-from dataclasses import dataclass
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
 
-from experiments import (figures, lab, lab_figures, level1, level2, level3, level_figures, runs,
-                         tables)
-from support.command_line import CommandLine, option
-from support.interruption import interruption
+import pandas as pd
 
-PARTS = {"1": level1, "2": level2, "3": level3, "lab": lab}  # in this order: the lab's runs begin
-#   with weights of levels 2 and 3
-FIGURES = {"2": figures, "3": level_figures, "lab": lab_figures}
+import robot.train
+import scenes
+from evaluation import Planned, Policy, evaluate, summarise
+from evaluation.planners import PLANNERS
+from experiments import figures, runs, tables
+from experiments.tables import RESULTS, ROOT
+from robot.environment import RingVecEnv
+from scenes.reality import Reality
+from support.cli import option, parse
+from support.parallel import available_cores
+from support.rooms import validation_scenes
+from support.runs import RunError, write
+from support.weights import FILE, load_model
 
 
 @dataclass
 class Options:
-    """What to make."""
-    level: str = option("", "this level of the paper alone, or the lab; by default all of them",
-                        choices=["", *PARTS])
-    ablations: bool = option(False, "train and examine level 2's ablations too, seeds 0 to 2")
-    planners: bool = option(False, "examine the planners alone, train nothing")
-    jobs: int = option(2, "so many runs at a time, a core each", 1, 64)
+    """The results to make."""
+    level: str = option("", "only this level of the paper, or the lab; by default all of them",
+                        choices=("1", "2", "3", "lab"))
+    ablations: bool = option(False, "with level 2 also make its ablations, seeds 0 to 2")
+    planners: bool = option(False, "only evaluate the planners, train nothing at any level")
+    jobs: int = option(2, "runs at a time, each on one core", 1, 64)
 
 
-def wanted_runs(options):
-    """The runs that those options ask for: a key of PARTS -> a list."""
-    levels = [options.level] if options.level else PARTS
-    wanted = {level: PARTS[level].main_runs() for level in levels}
-    if options.ablations:
-        wanted["2"] += level2.ablation_runs()
-    return wanted
+def words(options):
+    """Returns options, field -> value, as words of a command line."""
+    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in options.items()]
+    return [word for pair in pairs for word in pair if word != "True"]  # a flag has no value
 
 
-def make_all(wanted, options):
-    """Makes those runs, and level by level their tables in results/ and their figures."""
-    for level, level_runs in wanted.items():
-        runs.make_runs(level_runs, options.jobs)
-        PARTS[level].write_tables()
-    if options.ablations:
-        level2.write_ablations()
-    if not options.level:
-        write_planners()
-    for level in wanted:
-        if level in FIGURES:
-            FIGURES[level].main([])
+def commands(run):
+    """Returns the commands that make what a run lacks, each a list of words."""
+    in_lab = run.stage == "lab"
+    training, evaluation = ("robot.train", "robot.evaluate") if in_lab else ("train", "evaluation")
+    missing = []
+    if not run.weights and not (run.folder / "evaluation.json").exists():
+        options = run.training | {"out": run.folder}
+        if (run.folder / "config.json").exists():
+            options = {"resume": run.folder}
+        missing.append([training, *words(options)])
+    for name, options in run.evaluations.items():
+        if not (run.folder / f"evaluation-{name}.json").exists():
+            missing.append([evaluation, str(run.folder), *words(options | {"workers": 1})])
+    return [[sys.executable, "-m", *command] for command in missing]
+
+
+def check_options(run):
+    """Raises RunError if the run's folder holds a run with other options."""
+    wanted = asdict(robot.train.Config(**run.training))  # it has the options of train.py too
+    made = run.read("config.json") if (run.folder / "config.json").exists() else {}
+    for name, value in made.items():
+        if name != "out" and value != wanted.get(name):
+            raise RunError(f"'{run.folder}' was made with {name} = {value}, now it is "
+                           f"{wanted.get(name)}: move it away")
+
+
+def make_run(run):
+    """Makes what a run lacks. Yields each process, goes on when it has ended. Raises RunError."""
+    log = run.folder.with_suffix(".log")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    if run.weights:
+        run.folder.mkdir(exist_ok=True)
+        shutil.copy(ROOT / run.weights, run.folder / FILE)
+    for command in commands(run):
+        with open(log, "w") as output:
+            process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
+        yield process
+        if process.returncode:
+            raise RunError(f"'{' '.join(command)}' failed, see '{log}'")
+    record(run)
+
+
+def make_runs(wanted, jobs):
+    """Makes these runs, several at a time. Raises RunError."""
+    waiting = [make_run(run) for run in wanted]
+    under_way = {}  # process -> the run that it is for, as `make_run` makes it
+    try:
+        while waiting or under_way:
+            for process in [process for process in under_way if process.poll() is not None]:
+                waiting.insert(0, under_way.pop(process))
+            while waiting and len(under_way) < jobs:
+                run = waiting.pop(0)
+                process = next(run, None)
+                if process:
+                    under_way[process] = run
+            time.sleep(0.1)
+    finally:
+        for process in under_way:
+            process.terminate()
+            process.wait()
+
+
+def record(run):
+    """Writes the rows of a run into its tables, and its weights into pretrained/ if they belong."""
+    for name, (members, rows_of) in runs.TABLES.items():
+        if run in members:
+            rows = pd.DataFrame(rows_of(run)).astype(str)
+            if (RESULTS / name).exists():
+                old = pd.read_csv(RESULTS / name, dtype=str, keep_default_na=False)
+                other = (old[list(run.names)] != pd.Series(run.names).astype(str)).any(axis=1)
+                rows = pd.concat([old[other], rows])
+            order = pd.DataFrame([member.names for member in members]).astype(str)
+            write(RESULTS / name, order.merge(rows).to_csv(index=False))
+    for name, published in runs.PRETRAINED.items():
+        if run.folder.name == published:
+            write(ROOT / "pretrained" / f"{name}.safetensors", (run.folder / FILE).read_bytes())
 
 
 def write_planners():
-    """The planners' tables."""
-    level2.write_planners()
-    level3.write_planners()
+    """Makes planners.csv, one episode to each target and 50 anywhere, and level3-planners.csv."""
+    rooms = {name: [scenes.load(name)] for name in runs.TEST_ROOMS}
+    rooms["validation"] = validation_scenes()
+    rows = {"planners.csv": [], "level3-planners.csv": []}
+    for planner, (room, here) in itertools.product(PLANNERS, rooms.items()):
+        result, _ = evaluate(Planned(planner, seed=0), here, 50, "anywhere")
+        rows["level3-planners.csv"].append({"planner": planner, "room": room}
+                                           | runs.rates(result["anywhere"]))
+        if room in runs.PAPER_ROOMS:
+            _, traces = evaluate(Planned(planner, seed=0), here, 1, "start")
+            rows["planners.csv"].append({"env": room, "planner": planner}
+                                        | runs.rates(summarise(traces), prefix="start_")
+                                        | runs.rates(result["anywhere"], prefix="anywhere_"))
+    for name, lines in rows.items():
+        write(RESULTS / name, pd.DataFrame(lines).to_csv(index=False))
+
+
+def write_knobs():
+    """Makes knobs.csv: what each error of the lab costs the policies of the simulation."""
+    lab = scenes.load("lab")
+    realities = {"none": Reality()}
+    realities |= {name: Reality(**{name: value}) for name, value in vars(lab.reality).items()
+                  if value != getattr(Reality(), name)} | {"all": lab.reality}
+    rows = []
+    for weights, knob in itertools.product(runs.WEIGHTS, realities):
+        driver = Policy(load_model(ROOT / runs.WEIGHTS[weights])[0], "mean", seed=0)
+        room = replace(lab, reality=realities[knob])
+        result, _ = evaluate(driver, [room], 200, "anywhere", environment=RingVecEnv,
+                             workers=available_cores())
+        rows.append({"weights": weights, "knob": knob}
+                    | runs.rates(result["anywhere"], runs.LAB_RATES))
+    write(RESULTS / "knobs.csv", pd.DataFrame(rows).to_csv(index=False))
 
 
 def main(argv=None):
     """The command line."""
-    parser = CommandLine("Make every table and figure of the results.")
-    options = parser.read(Options, argv)
-    interruption.handle("interrupted: the runs under way are saved; the same command goes on")
-    for folder in (runs.RUNS, runs.RESULTS):
-        parser.must_write_to(folder)
-    if options.planners and options.level:
-        parser.error(f"--level is {options.level}, with --planners it must be left out")
-    if options.ablations and options.level not in ("", "2"):
-        parser.error(f"--level is {options.level}, with --ablations it must be 2 or left out")
+    options, parser = parse(Options, "Make every table and figure of the results.", argv)
+    ablations = runs.LEVEL_2_ABLATIONS if options.ablations else []
+    # In this order: the runs in the lab begin with weights of levels 2 and 3.
+    stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}
+    chosen = [level for level in stages if options.level in ("", level) and not options.planners]
     try:
-        if options.planners:
+        for run in itertools.chain(*(stages[level] for level in chosen)):
+            check_options(run)
+        for level in chosen:
+            make_runs(stages[level], options.jobs)
+        if "lab" in chosen:
+            write_knobs()
+        if options.planners or not options.level:
             write_planners()
-        else:
-            wanted = wanted_runs(options)
-            every = [run for level_runs in wanted.values() for run in level_runs]
-            for run in every:
-                run.check_options()
-            print(runs.expected(every, options.jobs), flush=True)
-            make_all(wanted, options)
+        figures.main([])
         tables.main([])
-    except runs.MadeOtherwise as error:
+    except (RunError, OSError) as error:
         parser.error(error)
-    except subprocess.CalledProcessError as error:
-        said = error.stderr.decode().strip() or f"exit code {error.returncode}"
-        parser.error(f"'{' '.join(error.cmd[1:])}' failed: {said.splitlines()[-1]}")
+    except KeyboardInterrupt:
+        sys.exit("\ninterrupted; the same command continues")
 
 
 if __name__ == "__main__":

@@ -1,165 +1,210 @@
-"""Training runs that tables are made of: each is trained and examined once, some at a time, and
-goes on where it was when the program is interrupted."""
+"""The runs that `experiments.results` makes, and the rows that each adds to tables in results/."""
 
-import csv
+import itertools
 import json
-import shutil
-import subprocess
-import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+from dataclasses import dataclass
 
-from scenes.limits import shown_path
-from support.command_line import CommandLine
-from support.interruption import interruption
-from support.pictures import read_table
-from train import Config
+import pandas as pd
 
-ROOT = Path(__file__).parent.parent
-RESULTS = ROOT / "results"
+from experiments.tables import ROOT
+from sim import CONTROL_PERIOD
+from support.rooms import RANDOM
+
 RUNS = ROOT / "runs" / "results"
-OUTCOMES = ("success", "low", "high", "collision", "timeout")  # columns of a rate, all tables
+RATES = ("n", "success", "low", "high", "collision", "timeout", "spl")  # columns of most tables
+LAB_RATES = (*RATES[:-1], "standing", "stops", "spl")
+PAPER_ROOMS = {"env1": 250_000, "env2": 400_000}  # -> steps of a training at level 2
+TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # of level 3, never trained or tuned on
+WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # at level 2 -> options
+HIDDEN = ("place", "cube", "both")  # from a policy
+ABLATIONS = {  # -> options
+    "single": {"memory": "single"}, "none": {"memory": "none"}, "blind": {"without": "image"},
+    "no-target": {"without": "target"}, "no-last": {"without": "last"}}
+WEIGHTS = {name: f"pretrained/{name}.safetensors" for name in ("env2", "any-room")}  # for the lab
+STARTS = {f"from-{name}": {"init": file} for name, file in WEIGHTS.items()} | {"from-scratch": {}}
+# One room without a mirror image. Its episodes are expensive: an update learns much from few.
+IN_THE_LAB = {"env": "lab", "mirrored": 0.0, "robots": 8, "episodes_per_update": 8,
+              "minibatches": 2, "epochs": 8}
+SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: the training's own), kind of targets
+    "level1": {"start": (0, "training"), "perturbed": (1, "training")},
+    "level2": {"training": (0, "training"), "new": (0, "new"), "anywhere": (1, "anywhere")},
+    "level3": {"training": (0, "training"), "validation": (0, "new")},
+    "lab": {"training": (1, "training"), "new": (1, "new"), "anywhere": (2, "anywhere")}}
 
 
-class MadeOtherwise(Exception):
-    """A run's folder holds a run with other options."""
-
-
+@dataclass(frozen=True)
 class Run:
-    """One training run, and the files in which its examinations lie. A subclass says what it is:
-    `stage`, such as level2; `names`, the columns that every table begins with; `training`, the
-    options of train.py; `examinations`, the file that holds an answer -> the options of `python -m
-    evaluation`; and `tables`, those in results/ that say how many seconds it took."""
+    """A training run and its evaluations. Its files lie in runs/results/."""
+    stage: str  # level1, level2, level3 or lab
+    names: dict  # the columns that each of its rows begins with; the last one is the seed
+    options: dict  # of the training: field of its Config -> value
+    evaluations: dict  # NAME of its file evaluation-NAME.json -> options
+    weights: str = ""  # a file: these weights are evaluated, and nothing is trained
 
     @property
     def folder(self):
-        """Where the run lies."""
+        """The folder of the run."""
         *names, seed = map(str, self.names.values())
         return RUNS / f"{self.stage}-{'-'.join(names)}-seed{seed}"
 
     @property
-    def is_trained(self):
-        """Whether training and the evaluation at its end are done."""
-        summary = self.folder / "summary.json"
-        return summary.exists() and json.loads(summary.read_text())["frozen"] is not None
-
-    @property
-    def command_line(self):
-        """All options of train.py but the folder."""
-        return [*map(str, self.training), "--fixed-budget", "--workers", "1"]
-
-    def check_options(self):
-        """Raises MadeOtherwise where its folder holds a run with other options."""
-        if not (self.folder / "config.json").exists():
-            return
-        made = self.read("config.json")
-        parser = CommandLine("")
-        wanted = parser.read(Config, self.command_line)
-        for name in sorted(parser.given):
-            value = getattr(wanted, name)
-            if made.get(name) != value:
-                raise MadeOtherwise(f"{shown_path(self.folder)} was made with {name} = "
-                                    f"{made.get(name)}, now it is {value}: move it away")
-
-    def make(self):
-        """Trains and examines, each unless it is done."""
-        if not self.is_trained and (self.folder / "config.json").exists():
-            call("train.py", "--resume", self.folder)  # a training that was cut short
-        elif not self.is_trained:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            call("train.py", *self.command_line, "--out", self.folder)
-        for file, options in self.examinations.items():
-            if not (self.folder / file).exists():
-                call("-m", "evaluation", self.folder, "--workers", 1, *options)
-        print(f"{self.folder.name} is done", flush=True)
+    def training(self):
+        """All options of the training."""
+        return self.options | {"seed": self.names["seed"], "fixed_budget": True, "workers": 1}
 
     def read(self, file):
-        """The content of one of its JSON files."""
-        return json.loads((self.folder / file).read_text())
-
-    def training_columns(self):
-        """The first columns of its row in a table: which run it is, and how long it trained."""
-        summary = self.read("summary.json")
-        return self.names | {key: summary[key] for key in ("steps", "episodes", "seconds")}
-
-    def seconds(self):
-        """How long it took when results/ was made; where it is not there, how long its steps take
-        by the benchmark."""
-        names = {key: str(value) for key, value in self.names.items()}
-        for table in self.tables:
-            rows = read_table(RESULTS / table) if (RESULTS / table).exists() else []
-            for row in rows:
-                if names.items() <= row.items():
-                    return float(row["seconds"])
-        steps = self.training[self.training.index("--steps") + 1]
-        rates = json.loads((RESULTS / "benchmark.json").read_text())["workers"]["idle"]
-        return steps / rates["1"]  # steps a second with one worker
+        """Returns the content of a JSON file or the rows of a CSV file, a DataFrame."""
+        path = self.folder / file
+        return pd.read_csv(path) if path.suffix == ".csv" else json.loads(path.read_text())
 
 
-def call(*arguments):
-    """Runs python in a session of its own: a Ctrl-C comes to it through this program alone.
-
-    Raises CalledProcessError.
-    """
-    command = [sys.executable, *map(str, arguments)]
-    program = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL,
-                               stderr=subprocess.PIPE, start_new_session=True)
-    interruption.programs.add(program)
-    _, said = program.communicate()
-    interruption.programs.discard(program)
-    if program.returncode:
-        raise subprocess.CalledProcessError(program.returncode, command, stderr=said)
+def in_rooms(rooms, protocol, episodes):
+    """Returns an evaluation in each of the rooms: name -> options."""
+    return {f"{room}-{protocol}": {"env": room, "protocol": protocol, "episodes": episodes}
+            for room in rooms}
 
 
-def expected(runs, jobs):
-    """What there is to do, in one sentence, by the seconds that the runs in results/ took."""
-    left = [run for run in runs if not run.is_trained]
-    seconds = sum(run.seconds() for run in left)
-    return (f"{len(left)} of {len(runs)} runs are to be trained, which takes about "
-            f"{seconds / jobs / 60:.0f} minutes, {jobs} at a time, if this machine is as fast as "
-            "the one of results/; examinations and planners come on top")
+def level_2_runs(ways, seeds):
+    """New targets in the room of training. ways: name -> options."""
+    runs = []
+    for (way, options), seed, env in itertools.product(ways.items(), seeds, PAPER_ROOMS):
+        wanted = {"anywhere": {"protocol": "anywhere", "episodes": 500}}
+        if way in WAYS:
+            wanted |= {f"hidden-{name}": {"hide": name, "episodes": 200} for name in HIDDEN}
+            wanted["validation"] = {"protocol": "validation", "episodes": 300}
+        if way == "varied":  # in rooms that it never saw
+            twin = "env2" if env == "env1" else "env1"
+            wanted[twin] = {"env": twin, "protocol": "start", "episodes": 200}
+            wanted |= in_rooms([room for room in TEST_ROOMS if room != env], "anywhere", 200)
+        options = {"env": env, "steps": PAPER_ROOMS[env]} | options
+        runs.append(Run("level2", {"env": env, "way": way, "seed": seed}, options, wanted))
+    return runs
 
 
-def make_runs(runs, jobs):
-    """Makes those runs, so many at a time. The first that fails ends it when the runs under way are
-    finished."""
-    has_failed = threading.Event()
-
-    def make(run):
-        if has_failed.is_set():
-            return
-        try:
-            run.make()
-        except Exception:
-            has_failed.set()
-            raise
-
-    pool = ThreadPoolExecutor(jobs)
-    try:
-        for future in [pool.submit(make, run) for run in runs]:
-            future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+def level_3_runs():
+    """Any target in any room, the long runs first."""
+    ways = {"any-room": {"steps": 8_000_000}}
+    counts = (1, 4, 16, 64, 256, 0)  # random rooms to learn in; 0: always new ones
+    ways |= {f"rooms-{count}": {"rooms": count} for count in counts} | ABLATIONS
+    exams = dict.fromkeys(ways, in_rooms(TEST_ROOMS, "anywhere", 100))
+    exams["any-room"] = in_rooms(TEST_ROOMS, "anywhere", 300) | in_rooms(PAPER_ROOMS, "start", 300)
+    same = {"env": RANDOM, "targets": "anywhere", "steps": 500_000}
+    return [Run("level3", {"way": way, "seed": seed}, same | options, exams[way])
+            for way, options in ways.items() for seed in range(3)]
 
 
-def examined_rows(run, room, file):
-    """What an examination of a run in a room found, as rows of a table: one for each kind of
-    targets. file: of its JSON files."""
-    result = run.read(file)
-    return [run.names | {"room": room, "targets": targets}
-            | rounded(result[targets], ("n", *OUTCOMES, "spl"))
-            for targets in ("training", "new", "anywhere") if result.get(targets) is not None]
+def lab_runs():
+    """The stand-in for the paper's real room (IV-C): before and after learning in it."""
+    ways = [(way, 0, {}, file) for way, file in WEIGHTS.items()]
+    drawn = {"env": "env2", "reality": "random", "steps": 600_000}  # never in the lab
+    rooms = {"env": RANDOM, "targets": "anywhere", "init": WEIGHTS["any-room"]}
+    ways += [("random-env2", 0, drawn, ""), ("random-rooms", 0, drawn | rooms, "")]
+    # No episode has more than 200 steps, so it is the episodes that count: 3,000 in the paper.
+    ways += [(way, n, IN_THE_LAB | options | {"episodes": n, "steps": 200 * n}, "")
+             for n in (3000, 300) for way, options in STARTS.items()]
+    exam = {"env": "lab", "ring": True, "episodes": 300}
+    runs = []
+    for way, allowed, options, file in ways:
+        # A file's name contains `start` only if the run's own protocol is another one.
+        start = "lab-start-ring" if "targets" in options else "lab-ring"
+        wanted = {start: exam | {"protocol": "start"},
+                  "lab-anywhere-ring": exam | {"protocol": "anywhere"}}
+        options = options | {"ring": True, "evaluation_episodes": 100}  # few, since others follow
+        runs += [Run("lab", {"way": way, "allowed": allowed, "seed": seed}, options, wanted, file)
+                 for seed in range(1 if file else 3)]
+    return runs
 
 
-def rounded(result, keys, prefix=""):
-    """Those values of an evaluation as columns of a table."""
+def rates(result, keys=RATES, prefix=""):
+    """Returns those values of an evaluation as columns whose names begin with the prefix."""
     return {prefix + key: round(result[key], 4) for key in keys}
 
 
-def write_table(name, rows):
-    """A table in results/. rows: dicts with the same keys."""
-    with open(RESULTS / name, "w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+def summary_rows(run):
+    """Returns a run's row of its stage's table: how long it trained, and how it does."""
+    summary = {} if run.weights else run.read("summary.json")
+    row = run.names | {key: summary.get(key, 0) for key in ("steps", "episodes", "seconds")}
+    if run.stage == "level1":
+        episodes = run.read("episodes.csv")
+        arrived = (episodes.outcome == "arrival").rolling(100).sum()
+        row["steps_to_stop"] = next(iter(episodes.steps[arrived >= 81]), "")  # released records: 81
+    if run.stage == "lab":  # what its episodes would take one robot there
+        row["hours"] = round(row["steps"] * CONTROL_PERIOD / 3600, 2) if row["allowed"] else 0.0
+    keys = {"level2": RATES[1:], "lab": LAB_RATES}.get(run.stage, RATES)
+    files = ["evaluation.json", *(f"evaluation-{name}.json" for name in run.evaluations)]
+    for prefix, (which, kind) in SUMMARIES[run.stage].items():
+        row |= rates(run.read(files[which])[kind], keys, f"{prefix}_")
+    if run.stage == "level2":
+        arrive = [goal["mean_action_arrives"] for goal in run.read("evaluation.json")["targets"]]
+        row["mean_action_arrives"] = f"{sum(arrive)} of {len(arrive)}"
+    return [row]
+
+
+def hidden_rows(run):
+    """Returns a run's rows of hidden.csv, one for each thing that is hidden from the policy."""
+    results = [(name, run.read(f"evaluation-hidden-{name}.json")) for name in HIDDEN]
+    return [run.names | {"hidden": name} | rates(result["training"], RATES[:-1], "training_")
+            | rates(result["new"], RATES[:-1], "new_") for name, result in results]
+
+
+def floor_rows(run):
+    """Returns a run's rows of floor.csv, one for each validation target."""
+    return [run.names | rates(target, ("x", "y", "n", "success", "collision", "timeout"))
+            for target in run.read("evaluation-validation.json")["targets"]
+            if target["kind"] == "validation"]
+
+
+def room_rows(run):
+    """Returns a run's rows of carry-over.csv or rooms.csv: kinds of targets in other rooms."""
+    results = [(options["env"], run.read(f"evaluation-{name}.json"))
+               for name, options in run.evaluations.items() if "env" in options]
+    return [run.names | {"room": room, "targets": kind} | rates(result[kind])
+            for room, result in results for kind in ("training", "new", "anywhere")
+            if result.get(kind)]
+
+
+def curve_rows(run):
+    """Returns a run's rows of curves.csv, means over 100 episodes to targets of a kind."""
+    rows = []
+    for kind, episodes in run.read("episodes.csv").groupby("kind"):
+        for n in range(100, len(episodes) + 1, 50):
+            last = episodes[n - 100:n]
+            rows.append(run.names | {"kind": kind, "steps": last.steps.iloc[-1], "episodes": n,
+                                     "success": round((last.outcome == "arrival").mean(), 2),
+                                     "return": round(last["return"].mean(), 1)})
+    return rows
+
+
+def lab_curve_rows(run):
+    """Returns a run's rows of lab-curves.csv, means over 300 episodes, some 50 to new targets."""
+    episodes = run.read("episodes.csv")
+    rows = []
+    for n in range(300, len(episodes) + 1, 50):
+        last = episodes[n - 300:n]
+        new = last[last.kind == "new"]
+        rows.append(run.names | {"episodes": n, "new_n": len(new),
+                                 "new_success": round((new.outcome == "arrival").mean(), 4),
+                                 "collision": round((last.outcome == "collision").mean(), 4)})
+    return rows
+
+
+LEVEL_1 = [  # one target, from near the start pose to near the target
+    Run("level1", {"env": env, "seed": seed}, {"env": env, "targets": "memorize", "steps": 250_000},
+        {"perturbed": {"protocol": "perturbed", "episodes": 500}})
+    for env in ("env1", "maze0") for seed in range(5)]
+LEVEL_2 = level_2_runs(WAYS, range(5))
+LEVEL_2_ABLATIONS = level_2_runs(ABLATIONS | {"one-room": {"mirrored": 0.0}}, range(3))
+LEVEL_3 = level_3_runs()
+LAB = lab_runs()
+TABLES = {  # file in results/: the runs that it is about, and what makes a run's rows
+    "level1.csv": (LEVEL_1, summary_rows),
+    "seeds.csv": (LEVEL_2, summary_rows), "hidden.csv": (LEVEL_2, hidden_rows),
+    "floor.csv": (LEVEL_2, floor_rows), "curves.csv": (LEVEL_2, curve_rows),
+    "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
+    "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows),
+    "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
+    "lab.csv": (LAB, summary_rows),
+    "lab-curves.csv": ([run for run in LAB if run.names["allowed"] == 3000], lab_curve_rows)}
+PRETRAINED = {  # name: the run whose weights it has, seed 0 whichever seed is the best
+    "env1": "level2-env1-varied-seed0", "env2": "level2-env2-varied-seed0",
+    "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0"}

@@ -1,0 +1,56 @@
+"""Trains as train.py does, and then prints one line of JSON: how long each call of each part took
+[s], and the memory. `python -m experiments.clocked THREADS` and the options of train.py."""
+
+import json
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import torch
+
+import ppo
+import train
+from evaluation import after_training
+from model import Network
+from navbot_min import NavVecEnv
+from support import parallel
+
+CLOCKS = (("making", train.Training, "__init__"), ("training", train, "train"),
+          ("collecting", train.Training, "collect"), ("act", Network, "act"),
+          ("environment", NavVecEnv, "step"), ("update", train.Training, "learn"),
+          ("gradient", ppo, "losses"), ("gradient", torch.Tensor, "backward"),
+          ("optimiser", torch.optim.Adam, "step"),
+          ("evaluation", after_training, "evaluate_frozen"),
+          ("curves", after_training, "draw_curves"), ("curves", after_training, "save"))
+
+
+def clocked(call, calls):
+    """Returns the call; it then adds its beginning and its length [s] to the list of calls."""
+    def timed(*arguments):
+        start = time.perf_counter()
+        result = call(*arguments)
+        calls.append((start, time.perf_counter() - start))
+        return result
+    return timed
+
+
+def main(threads, argv):
+    """Trains with that many threads of torch's own in each process."""
+    torch.set_num_threads(threads)
+    torch.set_num_threads = lambda count: None  # train.py asks for one
+    calls = defaultdict(list)
+    for part, owner, name in CLOCKS:
+        setattr(owner, name, clocked(getattr(owner, name), calls[part]))
+    train.main(argv)
+    if parallel.rank() == 0:
+        end = sum(calls["training"][0])  # the evaluation drives too: that does not count
+        seconds = {part: [length for start, length in calls[part]
+                          if start < end or part in ("evaluation", "curves")] for part in calls}
+        status = Path("/proc/self/status")  # on Linux; VmHWM is the most memory so far [kB]
+        held = status.read_text().split("VmHWM:")[1].split()[0] if status.exists() else 0
+        print(json.dumps({"seconds": seconds, "memory_mb": int(held) // 1000}))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2:])

@@ -1,0 +1,91 @@
+"""Tests of the benchmark and of the peers. None of them looks at how fast something is."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+import ppo
+from experiments import benchmark, clocked, peers
+from model import Network
+from navbot_min import NavVecEnv
+
+ROOT = Path(__file__).parent.parent
+SMALL = peers.Settings(2, 6, 1, 2, 1e-3)
+
+
+def test_the_networks_work_is_that_of_its_weights(monkeypatch):
+    monkeypatch.setattr(benchmark, "rate", lambda call, count: count)
+    places = {(3, 6, 8): 12 * 16, (32, 3, 4): 6 * 8, (64, 2, 2): 2 * 2}  # paper Fig. 2
+    uses = sum(weight.numel() * places.get(tuple(weight.shape[1:]), 1)
+               for name, weight in Network().named_parameters() if "weight" in name)
+    _, flops = benchmark.measure_network(M=1, T=16)
+    assert flops["forward"] == 2 * uses  # a product and a sum
+    assert 2.5 * flops["forward"] < flops["both"] < 3 * flops["forward"]
+
+
+def test_the_timed_training_is_that_of_train_py(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    training = benchmark.train(*benchmark.SHORT[:-1], "4000", "--workers", "1")
+    seconds = {part: sum(taken) for part, taken in training["seconds"].items()}
+    assert training["sps"] > 0 and 0.5 < training["share"] < 1
+    assert seconds["collecting"] > seconds["act"] + seconds["environment"]
+    assert seconds["update"] > seconds["gradient"] + seconds["optimiser"]
+    assert seconds["training"] > seconds["collecting"] + seconds["update"]
+    assert len(training["seconds"]["act"]) == 63  # of 64 robots; the evaluation does not count
+
+
+def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, monkeypatch):
+    speeds = iter([100, 80, 50, 40, 10, 20, 30, 60, 1, 4, 1, 3])  # idle: three rounds of four ways
+    parts = {part: [2.0, 1.0, 4.0] for part, _, _ in clocked.CLOCKS}
+    monkeypatch.setattr(benchmark, "train", lambda *options, threads=1, launcher=(): {
+        "sps": next(speeds, 1), "share": 0.5, "seconds": parts, "memory_mb": 1})
+    monkeypatch.setattr(benchmark, "rate", lambda call, count: count)
+    monkeypatch.setattr(benchmark, "available_cores", lambda: 2)
+    network = benchmark.measure_network
+    monkeypatch.setattr(benchmark, "measure_network", lambda: network(M=1, T=1, R=1))
+    benchmark.main(["--out", str(tmp_path / "here.json")])
+    figures = json.loads((tmp_path / "here.json").read_text())
+    assert (tmp_path / "here.png").stat().st_size > 5000
+    assert figures["env_sps"] == {"1": 1, "32": 32, "256": 256, "1024": 1024}
+    assert figures["workers"]["idle"] == {"1": 10, "2": 20, "ratio": 2}  # not 0.8, 2 or 4
+    assert figures["workers"]["torchrun"] == {"1": 10, "2": 40, "ratio": 3}
+    assert figures["pauses"]["busy"]["2 workers"]["update"] == [2.5, 4]
+    published = json.loads((ROOT / "results" / "benchmark.json").read_text())
+    assert set(pd.json_normalize(figures)) == set(pd.json_normalize(published | {"peers": {}}))
+
+
+def test_the_loops_values_and_advantages_are_ours_in_each_episode():
+    learner = peers.CleanRLStyle(SMALL)
+    learner.env.max_episode_steps = 3
+    steps = learner.collect()
+    assert steps["start"][3].all() and learner.seen["start"].all()
+    assert torch.allclose(steps["value"], learner.forward(steps, learner.memory)[1], atol=1e-5)
+    for r, begin in np.ndindex(2, 2):
+        part = {key: value[3 * begin:3 * begin + 3, r] for key, value in steps.items()}
+        seen = {key: value[None] for key, value in part.items()}
+        _, values, _ = learner.net(seen, learner.net.initial_state(1))
+        assert torch.allclose(part["value"], values[0], atol=1e-5)
+        A = ppo.advantages(part["reward"].numpy(), part["value"].numpy(), 0.0, 0.99, 0.95)
+        assert np.allclose(part["advantage"], A, atol=1e-5)
+    learner.learn(12)
+
+
+def test_stable_baselines_gets_the_last_observation_and_whether_time_ran_out():
+    pytest.importorskip("sb3_contrib")
+    env = NavVecEnv(2, max_episode_steps=3)
+    adapted = peers.StableBaselinesEnv(NavVecEnv(2, max_episode_steps=3))
+    env.reset(seed=3)
+    adapted.seed(3)
+    adapted.reset()
+    for _ in range(3):
+        observations, _, _, _, infos = env.step(np.ones((2, 2)))
+        seen, _, _, each = adapted.step(np.ones((2, 2)))
+    assert np.array_equal(seen["image"], observations["image"])
+    for r, info in enumerate(each):
+        assert info["TimeLimit.truncated"] and info["episode"]["l"] == 3
+        assert (info["terminal_observation"]["image"] == infos["final_obs"]["image"][r]).all()
+    peers.recurrent_ppo(SMALL).learn(12)

@@ -1,0 +1,212 @@
+"""Each test is the shortest proof of one claim about the runs and the tables that they fill."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import evaluation.__main__ as examination
+import robot.evaluate
+import robot.train
+import scenes
+import train
+from experiments import results, runs
+from experiments.runs import LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3, TABLES, Run
+from experiments.tables import ROOT
+from scenes.reality import Reality
+from support.cli import parse
+from support.run_folder import check_config
+from support.runs import RunError
+
+PUBLISHED = set(runs.PRETRAINED.values())
+EVERY = LEVEL_1 + LEVEL_2 + LEVEL_2_ABLATIONS + LEVEL_3 + LAB
+RATE = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "timeout": 0.25,
+        "spl": 0.12345, "standing": 0.1, "stops": 2.0}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The folder of all runs and tables, with copies of the published tables."""
+    shutil.copytree(ROOT / "results", tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(runs, "RUNS", tmp_path / "runs")
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    monkeypatch.setattr(runs, "PRETRAINED", {})
+    return tmp_path
+
+
+def finish(run):
+    """Writes the files of a run that is done; returns its 400 episodes of training."""
+    run.folder.mkdir(parents=True)
+    targets = [RATE | {"x": 1.0, "y": 2.0, "kind": kind, "mean_action_arrives": arrives}
+               for kind, arrives in (("training", True), ("validation", False))]
+    result = {"training": RATE, "new": RATE, "anywhere": RATE, "targets": targets}
+    files = {f"evaluation-{name}": result for name in run.evaluations} | {"evaluation": result}
+    files["summary"] = {"steps": 64, "episodes": 7, "seconds": 1.5}
+    for name, content in files.items():
+        (run.folder / f"{name}.json").write_text(json.dumps(content))
+    rng = np.random.default_rng(0)
+    episodes = pd.DataFrame({"steps": 10 * np.arange(400), "return": rng.normal(size=400),
+                             "kind": rng.choice(["training", "new"], 400),
+                             "outcome": rng.choice(["arrival", "collision"], 400)})
+    episodes.to_csv(run.folder / "episodes.csv", index=False)
+    return episodes
+
+
+def test_the_programs_accept_every_command_and_write_the_files_that_rows_are_read_from(folder):
+    for run in EVERY:
+        commands = results.commands(run)
+        if not run.weights:
+            _, _, program, *arguments = commands.pop(0)
+            config_class = {"train": train.Config, "robot.train": robot.train.Config}[program]
+            config, parser = parse(config_class, "", arguments)
+            check_config(config, parser)
+            assert config == config_class(**run.training, out=str(run.folder))
+        if run.names["seed"] == 0:
+            run.folder.mkdir(parents=True)
+            shutil.copy(ROOT / "pretrained" / "env1.safetensors", run.folder / results.FILE)
+            options = {"targets": "both"} | run.options
+            (run.folder / "config.json").write_text(json.dumps(options))
+            for name, (_, _, program, *arguments) in zip(run.evaluations, commands, strict=True):
+                module = {"evaluation": examination, "robot.evaluate": robot.evaluate}[program]
+                options, parser = parse(module.Options, "", arguments)
+                choose = getattr(module, "choose_environment", examination.in_simulation)
+                prepared = examination.Examination(options, choose)
+                assert (prepared.folder, prepared.suffix) == (run.folder, f"-{name}")
+    folders = {run.folder.name for run in EVERY}
+    assert len(folders) == len(EVERY) == 10 + 20 + 36 + 36 + 26
+    assert PUBLISHED < folders
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_rows_have_the_columns_of_the_published_table_and_replace_older_ones(name, folder):
+    members, rows_of = TABLES[name]
+    run = members[-1]
+    finish(run)
+    published = pd.read_csv(folder / name)
+    assert list(rows_of(run)[0]) == list(published)
+    results.record(run)
+    made = pd.read_csv(folder / name)
+    keys = list(run.names)
+    assert made[keys].drop_duplicates().values.tolist() == [
+        list(member.names.values()) for member in members]
+    own, others = [], []
+    for rows in (published, made):
+        is_own = (rows[keys] == list(run.names.values())).all(axis=1)
+        own.append(rows[is_own])
+        others.append(rows[~is_own].sort_values(keys, kind="stable").reset_index(drop=True))
+    assert len(own[1]) == len(rows_of(run)) and not own[1].equals(own[0])
+    pd.testing.assert_frame_equal(*others)
+
+
+def test_the_numbers_in_rows_are_those_of_the_evaluations_and_of_the_episodes(folder):
+    episodes = finish(LEVEL_2[0])
+    [row] = runs.summary_rows(LEVEL_2[0])
+    assert {"steps": 64, "new_success": 0.3333, "anywhere_spl": 0.1235,
+            "mean_action_arrives": "1 of 2"}.items() <= row.items()
+    last = episodes[episodes.kind == "new"][50:150]
+    [point] = [point for point in runs.curve_rows(LEVEL_2[0])
+               if (point["kind"], point["episodes"]) == ("new", 150)]
+    assert point["success"] == (last.outcome == "arrival").sum() / 100
+    assert point["return"] == pytest.approx(last["return"].mean(), abs=0.05)
+    assert point["steps"] == last.steps.max()
+    point = runs.lab_curve_rows(LEVEL_2[0])[-1]
+    new = episodes[100:].query("kind == 'new'")
+    assert (point["episodes"], point["new_n"]) == (400, len(new))
+    assert point["new_success"] == round((new.outcome == "arrival").sum() / len(new), 4)
+    finish(LEVEL_1[0])
+    assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == ""  # half of the episodes arrive
+    episodes.outcome = ["timeout"] * 200 + ["arrival"] * 200
+    episodes.to_csv(LEVEL_1[0].folder / "episodes.csv")
+    assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == 10 * (200 + 80)
+
+
+def test_planners_and_knobs_are_measured_in_their_rooms(folder, monkeypatch):
+    driven = []
+    monkeypatch.setattr(results, "evaluate", lambda driver, rooms, *_, **__: driven.append(rooms)
+                        or ({"anywhere": RATE | {"n": len(rooms)}}, []))
+    monkeypatch.setattr(results, "summarise", lambda traces: RATE)
+    results.write_planners()
+    results.write_knobs()
+    for name in ("planners", "level3-planners", "knobs"):
+        published = pd.read_csv(ROOT / "results" / f"{name}.csv")
+        made = pd.read_csv(folder / f"{name}.csv")
+        assert list(made) == list(published)
+        keys = list(made)[:2]
+        assert set(map(tuple, made[keys].values)) <= set(map(tuple, published[keys].values))
+    assert set(made.knob) == {"none", "all", *vars(Reality())}
+    for knob, [room] in zip(made.knob, driven[-len(made):]):
+        changed = {name for name, value in vars(room.reality).items()
+                   if value != getattr(Reality(), name)}
+        assert room == scenes.load("lab") if knob == "all" else changed == {knob} - {"none"}
+
+
+def test_a_run_with_other_options_is_refused_before_anything_is_trained(folder, capsys):
+    run = LEVEL_3[-1]
+    run.folder.mkdir(parents=True)
+    made = asdict(train.Config(**run.training)) | {"out": "elsewhere"}
+    (run.folder / "config.json").write_text(json.dumps(made))
+    results.check_options(run)
+    made["robots"] = 32  # not among the run's own options
+    (run.folder / "config.json").write_text(json.dumps(made))
+    with pytest.raises(SystemExit, match="2"):
+        results.main(["--level", "3"])
+    said = capsys.readouterr().err
+    assert said.endswith("seed2' was made with robots = 32, now it is 64: move it away\n")
+    assert not (runs.RUNS / f"{LEVEL_3[0].folder.name}.log").exists()
+
+
+def test_a_run_that_fails_is_one_sentence_and_ends_the_others(folder, monkeypatch):
+    codes = ["import time; time.sleep(60)", "raise SystemExit(1)", "print('begun')"]
+    wanted = [Run("level2", {"seed": seed}, {}, {}) for seed in range(3)]
+    monkeypatch.setattr(results, "commands", lambda run: [
+        [sys.executable, "-c", codes[run.names["seed"]]]])
+    begun = []
+    make_run = results.make_run
+    monkeypatch.setattr(results, "make_run", lambda run: (
+        begun.append(process) or process for process in make_run(run)))
+    with pytest.raises(RunError, match="failed, see '.*seed1.log'$"):
+        results.make_runs(wanted, 2)
+    assert [process.returncode for process in begun] == [-signal.SIGTERM, 1]
+
+
+def test_weights_are_evaluated_as_they_are_and_those_of_a_published_run_are_copied(folder,
+                                                                                   monkeypatch):
+    weights = (ROOT / LAB[0].weights).read_bytes()
+    (folder / "pretrained").mkdir()
+    (folder / LAB[0].weights).write_bytes(weights)
+    monkeypatch.setattr(results, "ROOT", folder)
+    monkeypatch.setattr(results, "commands", lambda run: [])
+    monkeypatch.setattr(runs, "TABLES", {})
+    monkeypatch.setattr(runs, "PRETRAINED", {"mine": LAB[0].folder.name, "other": "other"})
+    results.make_runs(LAB[:1], 1)
+    assert (folder / "pretrained" / "mine.safetensors").read_bytes() == weights
+    assert not (folder / "pretrained" / "other.safetensors").exists()
+
+
+def test_an_interrupted_run_is_continued_by_the_same_command(folder, monkeypatch):
+    run = Run("level2", {"env": "env1", "way": "none", "seed": 2},
+              {"env": "env1", "steps": 2000, "robots": 8, "memory": "none",
+               "evaluation_episodes": 2}, {"anywhere": {"protocol": "anywhere", "episodes": 2}})
+    monkeypatch.setitem(TABLES, "ablations.csv", ([run], runs.summary_rows))
+    program = ("from pathlib import Path; from experiments import results, runs\n"
+               f"runs.RUNS = Path({str(runs.RUNS)!r})\n"
+               f"runs.LEVEL_2 = [runs.Run('level2', {run.names}, {run.options}, {{}})]\n"
+               "results.main(['--level', '2'])")
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, text=True,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    while not (run.folder / "checkpoint.pt").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=60)[1] == "\ninterrupted; the same command continues\n"
+    assert results.commands(run)[0][2:4] == ["train", "--resume"]
+    results.make_runs([run], 1)
+    assert pd.read_csv(folder / "ablations.csv").steps.tolist() == [2000]
+    assert results.commands(run) == []

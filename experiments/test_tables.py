@@ -1,0 +1,80 @@
+"""Each test is the shortest proof of one claim about the tables of the pages."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import tables
+
+
+@pytest.fixture
+def results(tmp_path, monkeypatch):
+    """An empty folder in place of results/."""
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", tables.pages(), ids=lambda page: page.name)
+def test_the_tables_of_a_page_are_those_of_the_results(page):
+    text = page.read_text(encoding="utf-8")
+    blank = tables.MARKED.sub(r"\1\3", text)
+    assert tables.fill(blank) == text, f"{page.name} is old: run python -m experiments.tables"
+    marked = tables.MARKED.findall(text)
+    assert text.count("<!-- table:") == text.count("<!-- end -->") == len(marked)
+    for header, name, _ in marked:
+        width = header.splitlines()[1].count("|")
+        for line in tables.markdown(tables.TABLES[name]()).splitlines():
+            assert line.count("|") == width, f"{name}: {line}"
+
+
+def test_every_table_is_in_a_page():
+    names = {name for page in tables.pages()
+             for _, name, _ in tables.MARKED.findall(page.read_text(encoding="utf-8"))}
+    assert names == set(tables.TABLES)
+
+
+def test_cells_have_three_digits_and_say_what_is_missing():
+    assert tables.markdown([[1234.5, 99.96, 0.0012345, 0, np.nan, "white_balance", [0.5, 7]]]) == (
+        "| 1,234 | 100 | 0.00123 | 0 | - | white balance | 0.5 / 7 |\n")
+
+
+def test_a_group_has_its_seeds_in_order_and_each_weighs_alike(results):
+    (results / "floor.csv").write_text(
+        "# a comment\nenv,way,seed,success\n"
+        "env2,varied,1,1\nenv2,varied,0,0\nenv2,varied,0,1\nenv1,varied,0,0.25\n"
+        "env2,varied,1,1\nenv2,varied,1,1\nenv2,one-start,0,0\n")
+    assert tables.markdown(tables.TABLES["floor"]()).splitlines() == [
+        "| env1 | varied | 25 |", "| env2 | varied | 50, 100: **75** |",
+        "| env2 | one-start | 0 |"]
+
+
+def test_a_summary_names_the_mean_and_the_worst():
+    assert tables.mean_and_worst(pd.Series([90.0, 60.0, 100.0, 70.0])) == "80.0 % (60.0 %)"
+
+
+def test_a_table_of_runs_is_worst_first(results):
+    (results / "planners.csv").write_text(
+        "planner,env,start_n,start_success,anywhere_success,anywhere_low,anywhere_high,"
+        "anywhere_spl\nbug,env2,12,0.75,0.9,0.8,0.95,0.5\nbug,env1,4,0.25,0,0,0.1,0\n")
+    assert tables.markdown(tables.TABLES["planners"]()).splitlines() == [
+        "| bug | env1 | 4 | 25 | 0.0 % [0.0, 10.0] | 0 |",
+        "| bug | env2 | 12 | 75 | 90.0 % [80.0, 95.0] | 0.5 |"]
+
+
+def test_only_errors_that_the_lab_still_has_are_shown_the_most_costly_first(results):
+    (results / "knobs.csv").write_text("weights,knob,success\n" + "".join(
+        f"{weights},{knob},{success}\n" for weights in ("env2", "any-room")
+        for knob, success in (("none", 1), ("veer", 0.5), ("camera_yaw", 0.9), ("look", 0.2))))
+    assert tables.markdown(tables.knobs()).splitlines() == [
+        "| look | lab | 20 | 20 |", "| camera yaw | 2 | 90 | 90 |", "| none | - | 100 | 100 |"]
+
+
+def test_a_share_of_the_roof_is_of_the_same_stage_on_the_same_cores(results):
+    one = {"network_fps": {"act": 1, "forward": 2, "both": 3}, "train_sps": 4,
+           "roof_fps": {"act": 10, "forward": 10, "both": 10}, "roof_sps": 10}
+    both = one | {"train_sps": 8, "roof_sps": 32}
+    (results / "benchmark.json").write_text(json.dumps(one | {"all_cores": both, "peers": {}}))
+    shares = tables.benchmark().filter(like="%", axis=0).values.tolist()
+    assert shares == [[10, 10], [20, 20], [30, 30], [40, 25]]
