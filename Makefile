@@ -3,7 +3,7 @@ PYTHON ?= python3
 # PyTorch's small CPU build: make train TORCH_INDEX=https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
 # The run to evaluate: make evaluate RUN=runs/env1-seed0
-RUN ?= pretrained/env1.pt
+RUN ?= pretrained/env1.safetensors
 BIN = .venv/bin
 
 .PHONY: train demo quick test evaluate results figures benchmark
@@ -26,18 +26,16 @@ evaluate: .venv/installed
 	$(BIN)/python -m evaluation $(RUN)
 
 # Trains and examines all that the tables show: hours.
-results: .venv/installed
+results: .venv/experiments-installed
 	$(BIN)/python -m experiments.results --ablations
 
 # The figures and tables again, from what the results left.
-figures: .venv/installed
+figures: .venv/experiments-installed
 	$(BIN)/python -m experiments.figures
-	$(BIN)/python -m experiments.level_figures
-	$(BIN)/python -m experiments.lab_figures
 	$(BIN)/python -m experiments.diagrams
 	$(BIN)/python -m experiments.tables
 
-benchmark: .venv/installed
+benchmark: .venv/experiments-installed
 	$(BIN)/python -m experiments.benchmark
 
 .venv/installed: requirements.txt
@@ -46,6 +44,10 @@ benchmark: .venv/installed
 	$(BIN)/pip install -r requirements.txt
 	touch .venv/installed
 
-.venv/tests-installed: .venv/installed support/requirements-test.txt
+.venv/experiments-installed: .venv/installed experiments/requirements.txt
+	$(BIN)/pip install -r experiments/requirements.txt
+	touch .venv/experiments-installed
+
+.venv/tests-installed: .venv/experiments-installed support/requirements-test.txt
 	$(BIN)/pip install -r support/requirements-test.txt
 	touch .venv/tests-installed
