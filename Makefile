@@ -14,7 +14,7 @@ train: .venv/installed
 demo: .venv/installed
 	$(BIN)/python navbot_min.py --env env1
 
-# The lesson's tests alone, a minute.
+# Only the lesson's tests, half a minute.
 quick: .venv/installed
 	$(BIN)/python -m pytest test_all.py
 
