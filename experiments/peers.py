@@ -19,7 +19,8 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:  # without them there is only the CleanRL-style loop
     RecurrentPPO = None
-    BaseFeaturesExtractor = VecEnv = object
+    BaseFeaturesExtractor = object
+    VecEnv = object
 
 Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate")
 # 32 steps of each of our robots are about what the episodes of an update have.
@@ -59,7 +60,9 @@ class StableBaselinesEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class, indices=None):
         return [False] * self.num_envs
 
-    set_attr = env_method = close = None  # a training does without them
+    set_attr = None  # a training does without these three
+    env_method = None
+    close = None
 
 
 class Features(BaseFeaturesExtractor):

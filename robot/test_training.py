@@ -79,6 +79,7 @@ def test_a_run_resumes_with_its_own_options_and_is_evaluated_as_it_learned(tmp_p
 
 
 @pytest.mark.parametrize("arguments, words", [
+    (["--reality", "random"], "with --env lab it must be left out"),
     (["--init", "nowhere"], "run 'nowhere' does not exist"),
     (["--init", ENV2_WEIGHTS, "--memory", "single"], "was trained with --memory stacked"),
     (["--env", "nowhere"], "unknown scene 'nowhere'"), (["--episodes", "-1"], "--episodes")])

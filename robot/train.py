@@ -6,7 +6,9 @@ from pathlib import Path
 
 import train
 from robot.environment import RealVecEnv, environment_of
+from sim import SceneError
 from support.cli import option, parse
+from support.rooms import load_rooms
 from support.run_folder import CHECKPOINT
 from support.runs import RunError
 from support.weights import load_model
@@ -65,7 +67,10 @@ def main(argv=None):
     try:
         if not config.resume:
             kept_weights(config)
-    except RunError as error:
+            if config.reality and any(scene.reality for scene in load_rooms(config)):
+                raise RunError(f"--reality is {config.reality}, with --env {config.env} it must be "
+                               "left out: the room's file says what the robot's errors are")
+    except (RunError, SceneError) as error:
         parser.error(error)
     train.main(argv, Config, Training)
 
