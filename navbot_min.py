@@ -204,8 +204,9 @@ class NavVecEnv(VectorEnv):
         if self._steps is None:
             raise ResetNeeded("step() was called before reset()")
         actions = np.asarray(actions, dtype=float)
-        check(actions.shape == (self.num_envs, 2) and np.isfinite(actions).all(),
-              f"actions must be finite numbers of shape ({self.num_envs}, 2), they are {actions}")
+        if actions.shape != (self.num_envs, 2) or not np.isfinite(actions).all():
+            raise ValueError(f"actions must be finite numbers of shape ({self.num_envs}, 2), they "
+                             f"are {actions}")
         command = self.command(actions)
         before = polar_targets(self.world.poses, self.goals)[:, 0]
         failed = self.drive(command)
