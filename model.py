@@ -17,7 +17,7 @@ HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # values that the CNN makes of an image, paper Fig. 2
 TARGET = 2  # distance and bearing
 LAST = 3  # a_{t-1}: last velocity (2) and last reward (1), paper III-B
-IMAGES = 16  # their number is rounded up to a multiple: torch keeps memory for each number
+BATCH_MULTIPLE = 16  # batches of images are padded to a multiple: torch caches memory per size
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: colours become about -1.5 .. 1.5
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: brings rewards, and so values, to the order of 1
@@ -94,8 +94,8 @@ class Network(nn.Module):
             self.memories = nn.ModuleList([Memory(FEATURES + TARGET, recurrent),
                                            Memory(HIDDEN + LAST, recurrent)])
         self.dense = orthogonal(nn.Linear(HIDDEN, HIDDEN), RELU_GAIN)
-        self.action = orthogonal(nn.Linear(HIDDEN, 2), 0.01)  # small: it starts undecided
-        self.value = orthogonal(nn.Linear(HIDDEN, 1))
+        self.action_head = orthogonal(nn.Linear(HIDDEN, 2), 0.01)  # small: it starts undecided
+        self.value_head = orthogonal(nn.Linear(HIDDEN, 1))
         self.log_std = nn.Parameter(torch.tensor(INITIAL_STD).log())
         self.register_buffer("command_scale", torch.tensor(command_scale or MAX_COMMAND))
 
@@ -114,8 +114,8 @@ class Network(nn.Module):
         if self.without == "image":
             images = images * 0
         B = len(images)
-        if B % IMAGES:
-            images = torch.cat([images, images[:-B % IMAGES]])
+        if B % BATCH_MULTIPLE:
+            images = torch.cat([images, images[:-B % BATCH_MULTIPLE]])
         colours = images.permute(0, 3, 1, 2).float()  # (B, 3, H, W); channels stay last in memory
         return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))[:B]
 
@@ -134,7 +134,7 @@ class Network(nn.Module):
 
     def policy(self, x):
         """The distribution of actions (M, T, 2) from the dense layer's output (M, T, HIDDEN)."""
-        linear, angular = self.action(x).unbind(-1)
+        linear, angular = self.action_head(x).unbind(-1)
         mean = torch.stack([torch.sigmoid(linear), torch.tanh(angular)], -1)  # paper III-C
         return Normal(mean, self.log_std.exp(), validate_args=False)
 
@@ -161,7 +161,7 @@ class Network(nn.Module):
             last = last * 0
         x, state = self.remember(features, target, last, state)  # (M, T, HIDDEN)
         x = torch.relu(self.dense(x))  # (M, T, HIDDEN)
-        return self.policy(x), self.value(x)[..., 0], state
+        return self.policy(x), self.value_head(x)[..., 0], state
 
     @torch.no_grad()
     def act(self, observations, state, generator):

@@ -19,7 +19,7 @@ import scenes as scene_files
 from render import Camera, H, W
 from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
                  Scene, World, wrap_angle)
-from support.checks import (NO_LIMIT, asked_episode, check, check_arguments, check_options,
+from support.checks import (NO_LIMIT, asked_episode, check_arguments, check_options,
                             check_render_mode, refuse_reality, target_choices)
 
 ARRIVAL_REWARD = 100.0  # released config
@@ -34,6 +34,7 @@ FARTHEST = 100.0  # [m] bound of an observed distance, the same for all rooms, o
 HIGHEST_REWARD = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
+UNDER_WAY = -1  # the outcome of an episode that has not ended
 RENDER_FPS = 10  # frames per second; a frame is CONTROL_PERIOD, so four times real time
 
 
@@ -246,8 +247,8 @@ class NavVecEnv(VectorEnv):
 
 class NavEnv(gym.Env):
     """One robot: `NavVecEnv` with R = 1, without the robots' axis and without autoreset. `info`
-    holds pose, command and `NavVecEnv.episode_info` at every step. Its `outcome` is timeout until
-    an arrival or a collision: `gymnasium.make` adds the time limit, 200 steps, by a wrapper."""
+    holds pose, command and `NavVecEnv.episode_info` at every step. `gymnasium.make` adds the time
+    limit, 200 steps, by a wrapper: if that truncates an episode, `outcome` is still UNDER_WAY."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
     vector_class = NavVecEnv  # a subclass names its own
@@ -271,7 +272,7 @@ class NavEnv(gym.Env):
         self.vector.np_random = self.np_random  # a user may have set another generator
         observations, infos = self.vector.reset(options=options)
         self._is_over = False
-        return self._look(observations, infos, self.vector.episode_info(np.array([TIMEOUT])))
+        return self._look(observations, infos, self.vector.episode_info(np.array([UNDER_WAY])))
 
     def step(self, action):
         """As in NavVecEnv, for one action (2,). Raises ValueError, ResetNeeded."""
@@ -282,7 +283,7 @@ class NavEnv(gym.Env):
         if self._is_over:  # the vector environment has begun the next episode
             observation, info = self._look(infos["final_obs"], infos, infos["final_info"])
         else:
-            statistics = self.vector.episode_info(np.array([TIMEOUT]))
+            statistics = self.vector.episode_info(np.array([UNDER_WAY]))
             observation, info = self._look(observations, infos, statistics)
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 

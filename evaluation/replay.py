@@ -27,14 +27,15 @@ COLUMNS = 16  # images of an episode that lie side by side in a row of its sheet
 
 
 class ThinkingPolicy(Policy):
-    """A Policy that keeps in `thoughts` what went on in its network, (R, ...) arrays."""
+    """A Policy that keeps in `activations` what went on in its network, (R, ...) arrays."""
 
     def act(self, env, observations):
         actions = super().act(env, observations)
         with torch.no_grad():
             features = self.model.see(torch.as_tensor(observations["image"]))
-        self.thoughts = {"value": self.values.numpy() / REWARD_SCALE, "features": features.numpy(),
-                         "memory": self.memory[:, :, 0].numpy()}
+        self.activations = {"value": self.values.numpy() / REWARD_SCALE,
+                            "features": features.numpy(),
+                            "memory": self.memory[:, :, 0].numpy()}
         return actions
 
 
@@ -57,17 +58,17 @@ def as_strip(name, values, height):
 
 
 def as_episode(name, trace, graph, hidden):
-    """Returns what the page shows of a Trace with images and thoughts. graph: its Roadmap."""
+    """Returns what the page shows of a Trace with images and activations. graph: its Roadmap."""
     way, _ = graph.path(trace.start[:2], trace.goal)
-    memory = trace.thoughts["memory"]  # (T, layers, HIDDEN)
+    memory = trace.activations["memory"]  # (T, layers, HIDDEN)
     strips = [as_strip("the 32 features that the CNN makes of the image",
-                       trace.thoughts["features"], 64)]
+                       trace.activations["features"], 64)]
     if memory.any():  # a network without memory has nothing to show there
         strips += [as_strip(f"memory: what LSTM {k + 1} of {memory.shape[1]} puts out, 256 units",
                             memory[:, k], 128) for k in range(memory.shape[1])]
     numbers = {"goal": trace.goal, "poses": trace.poses, "commands": trace.commands,
                "shortest": [trace.start[:2], *(way or [])], "rewards": trace.rewards,
-               "values": trace.thoughts["value"]}
+               "values": trace.activations["value"]}
     return {"name": name, "outcome": trace.outcome, "hidden": hidden, "strips": strips,
             "images": as_sheet(trace.images),
             **{key: rounded(value) for key, value in numbers.items()}}

@@ -41,7 +41,7 @@ def lively_network():
     net = make_network(0)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
-        torch.nn.init.orthogonal_(net.action.weight, 3.0)
+        torch.nn.init.orthogonal_(net.action_head.weight, 3.0)
     return net
 
 

@@ -53,7 +53,7 @@ def test_a_page_has_a_success_a_failure_and_a_hidden_cube_each_as_its_trace_has_
         assert episode["outcome"] == trace.outcome
         for key in ("goal", "poses", "commands", "rewards"):
             assert np.allclose(episode[key], getattr(trace, key), rtol=0, atol=0.00051)
-        assert np.allclose(episode["values"], trace.thoughts["value"], rtol=0, atol=0.00051)
+        assert np.allclose(episode["values"], trace.activations["value"], rtol=0, atol=0.00051)
         way = episode["shortest"]
         assert math.dist(way[0], trace.start[:2]) < 0.001
         assert math.dist(way[-1], trace.goal) < ARRIVAL_DISTANCE + 0.001
@@ -63,8 +63,8 @@ def test_a_page_has_a_success_a_failure_and_a_hidden_cube_each_as_its_trace_has_
         off = np.abs(images.astype(float) - trace.images).mean((1, 2, 3))
         assert off.max() < 1  # of 255: a sheet has 256 colours
         assert not (episode["hidden"] and (images == (20, 20, 235)).all(-1).any())  # the cube
-        layers = trace.thoughts["memory"].swapaxes(0, 1)
-        for strip, values in zip(episode["strips"], (trace.thoughts["features"], *layers),
+        layers = trace.activations["memory"].swapaxes(0, 1)
+        for strip, values in zip(episode["strips"], (trace.activations["features"], *layers),
                                  strict=True):
             shown = np.frombuffer(base64.b64decode(strip["values"]), np.uint8)
             shares = (shown.reshape(-1, strip["units"]) - 128.0) / 127
@@ -75,20 +75,20 @@ def test_the_thoughts_are_those_of_the_network_in_one_go_over_the_whole_episode(
     class Remembering(ThinkingPolicy):
         def act(self, env, observations):
             actions = super().act(env, observations)
-            self.thoughts |= observations
+            self.activations |= observations
             return actions
     model, _ = load_model(WEIGHTS)
     [trace] = rollouts(Remembering(model, "mean", 0), [Assignment(ENV1, 2, quota=1)], "perturbed")
-    thoughts = {key: torch.as_tensor(value)[None] for key, value in trace.thoughts.items()}
+    activations = {key: torch.as_tensor(value)[None] for key, value in trace.activations.items()}
     put_out = []
     for memory in model.memories:
         memory.register_forward_hook(lambda module, seen, result: put_out.append(result[0]))
     with torch.no_grad():
-        _, values, _ = model(thoughts, model.initial_state(1))
-        features = model.see(thoughts["image"][0])
-    assert torch.allclose(thoughts["value"] * REWARD_SCALE, values, atol=1e-4)
-    assert torch.allclose(thoughts["features"][0], features, atol=1e-4)
-    assert torch.allclose(thoughts["memory"], torch.stack(put_out, 2), atol=1e-4)
+        _, values, _ = model(activations, model.initial_state(1))
+        features = model.see(activations["image"][0])
+    assert torch.allclose(activations["value"] * REWARD_SCALE, values, atol=1e-4)
+    assert torch.allclose(activations["features"][0], features, atol=1e-4)
+    assert torch.allclose(activations["memory"], torch.stack(put_out, 2), atol=1e-4)
 
 
 def test_a_page_needs_nothing_from_elsewhere_and_has_all_that_its_script_asks_for(made):

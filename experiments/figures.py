@@ -15,7 +15,7 @@ from experiments.tables import LAB, ROOMS_LEARNT, ROOT, read
 from render import Camera
 from robot.environment import RealVecEnv
 from robot.lab import LabRobot
-from robot.looks import DrawnCamera, LabCamera
+from robot.appearance import DrawnCamera, LabCamera
 from robot.mapping import OccupancyGrid
 from robot.policy import TorchPolicy
 from robot.robot import drive
@@ -191,8 +191,9 @@ def draw_any_room_floor():
 
 
 POSE = (0.5, -2.2, 3.3)  # in env2, from which the images are seen
-SEEN = {"look": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75), "camera_yaw_degrees": 6,
-        "camera_pitch_degrees": -6, "image_delay": 1}  # as in a room's file, larger than in the lab
+# As in a room's file, larger than in the lab.
+SEEN = {"appearance": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75),
+        "camera_yaw_degrees": 6, "camera_pitch_degrees": -6, "image_delay": 1}
 DRIVEN = {"distance_drift": 0.15, "turn_drift": 0.15, "wheel_gains": (1, 0.93)}
 
 
@@ -227,7 +228,7 @@ def draw_reality():
     return figure
 
 
-def draw_looks():
+def draw_appearances():
     """Draws env2 as the simulation shows it, as the lab would, and in looks that are drawn."""
     figure, panels = page(3.2, 2, 5)
     scene = [scenes.load("env2")]
@@ -320,7 +321,7 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "any-room.gif": lambda: film_episode(  # this episode arrives; one in five or so does not
         pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere", seed=6),
     "reality.png": draw_reality,
-    "looks.png": draw_looks,
+    "appearances.png": draw_appearances,
     "lab.png": lambda: draw_lab(read("lab.csv"), read("lab-curves.csv")),
     "lab-map.png": draw_lab_map,
     "benchmark.png": lambda: draw_benchmark(read("benchmark.json"))}

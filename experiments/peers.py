@@ -119,7 +119,7 @@ class CleanRLStyle:
                                           last[t, :, None], memory)
             outputs.append(y[:, 0])
         x = torch.relu(self.net.dense(torch.stack(outputs)))
-        return self.net.policy(x), self.net.value(x)[..., 0], memory
+        return self.net.policy(x), self.net.value_head(x)[..., 0], memory
 
     @torch.no_grad()
     def collect(self):

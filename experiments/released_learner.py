@@ -101,12 +101,12 @@ class BetaPolicy(Network):
 
     def __init__(self):
         super().__init__()
-        self.action = orthogonal(torch.nn.Linear(HIDDEN, 4), 0.01)
+        self.action_head = orthogonal(torch.nn.Linear(HIDDEN, 4), 0.01)
         del self.log_std  # is not learned here
         self.register_buffer("log_std", torch.zeros(2))
 
     def policy(self, x):
-        return BoundedBeta(*(torch.nn.functional.softplus(self.action(x)) + 1).chunk(2, -1))
+        return BoundedBeta(*(torch.nn.functional.softplus(self.action_head(x)) + 1).chunk(2, -1))
 
     @torch.no_grad()
     def act(self, observations, state, generator):

@@ -137,21 +137,21 @@ def write_planners():
         write(RESULTS / name, pd.DataFrame(lines).to_csv(index=False))
 
 
-def write_knobs():
-    """Makes knobs.csv: what each error of the lab costs the policies of the simulation."""
+def write_lab_errors():
+    """Makes lab-errors.csv: what each error of the lab costs the policies of the simulation."""
     lab = scenes.load("lab")
     realities = {"none": Reality()}
     realities |= {name: Reality(**{name: value}) for name, value in vars(lab.reality).items()
                   if value != getattr(Reality(), name)} | {"all": lab.reality}
     rows = []
-    for weights, knob in itertools.product(runs.WEIGHTS, realities):
+    for weights, error in itertools.product(runs.WEIGHTS, realities):
         driver = Policy(load_model(ROOT / runs.WEIGHTS[weights])[0], "mean", seed=0)
-        room = replace(lab, reality=realities[knob])
+        room = replace(lab, reality=realities[error])
         result, _ = evaluate(driver, [room], 200, "anywhere", environment=RingVecEnv,
                              workers=available_cores())
-        rows.append({"weights": weights, "knob": knob}
+        rows.append({"weights": weights, "error": error}
                     | runs.rates(result["anywhere"], runs.LAB_RATES))
-    write(RESULTS / "knobs.csv", pd.DataFrame(rows).to_csv(index=False))
+    write(RESULTS / "lab-errors.csv", pd.DataFrame(rows).to_csv(index=False))
 
 
 def main(argv=None):
@@ -167,7 +167,7 @@ def main(argv=None):
         for level in chosen:
             make_runs(stages[level], options.jobs)
         if "lab" in chosen:
-            write_knobs()
+            write_lab_errors()
         if options.planners or not options.level:
             write_planners()
         figures.main([])

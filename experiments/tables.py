@@ -146,14 +146,14 @@ def lab():
                    "hours new_success training_success anywhere_success collision stops")
 
 
-def knobs():
+def lab_errors():
     """The success that each error of the lab leaves on its own, the lowest first, and its value."""
     room = tomllib.loads((ROOT / "scenes" / "lab.toml").read_text(encoding="utf-8"))
     values = {key.removesuffix("_degrees"): value for key, value in room["reality"].items()}
-    rows = read("knobs.csv").query("knob in ['none', 'all'] or knob in @values")
-    success = rows.pivot(index="knob", columns="weights", values="success")[["env2", "any-room"]]
+    rows = read("lab-errors.csv").query("error in ['none', 'all'] or error in @values")
+    success = rows.pivot(index="error", columns="weights", values="success")[["env2", "any-room"]]
     success = success.loc[success.mean(axis=1).sort_values(kind="stable").index]
-    success.insert(0, "value", [values.get(knob) for knob in success.index])
+    success.insert(0, "value", [values.get(error) for error in success.index])
     return success
 
 
@@ -190,7 +190,7 @@ def measured(section):
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (
-    summary, level3_rooms, level3_planners, lab, knobs, peaks, stops, benchmark)}
+    summary, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
 TABLES |= {name: partial(run_rows, *row) for name, row in RUNS.items()}
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "pauses", "programs")}

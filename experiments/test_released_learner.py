@@ -56,13 +56,13 @@ def test_advantages_may_be_returns_and_the_learning_rate_may_stay(name, rate):
     training.folder = MagicMock()
     training.seconds = training.config.epochs = training.config.minibatches = 1
     training.steps = 0.9 * training.config.steps
-    value = training.model.value.weight.clone()
+    value = training.model.value_head.weight.clone()
     training.learn(episodes)
     loss = training.folder.tables["updates.csv"].add.call_args.args[0]["policy_loss"]
     returns = [sum(0.99 ** k * r for k, r in enumerate(episode.rewards[t:]))
                for episode in episodes for t in range(len(episode))]
     assert (loss == pytest.approx(-np.mean(returns), rel=1e-3)) == (name == "no-baseline")
-    assert torch.equal(training.model.value.weight, value) == (name == "no-baseline")
+    assert torch.equal(training.model.value_head.weight, value) == (name == "no-baseline")
     assert training.optimizer.param_groups[0]["lr"] == pytest.approx(rate)
 
 
@@ -82,5 +82,5 @@ def test_a_variant_is_trained_and_evaluated_once(name, steps, environment, tmp_p
         [row] = study.read_table(study.RESULT)
     assert list(row) == list(study.read_table(study.RESULT)[0]) and evaluate.call_count == 1
     assert evaluate.call_args.kwargs["environment"].__name__ == environment
-    weight = evaluate.call_args.args[0].model.action.weight
-    assert not torch.equal(weight, study.make_training(name, 0).model.action.weight)
+    weight = evaluate.call_args.args[0].model.action_head.weight
+    assert not torch.equal(weight, study.make_training(name, 0).model.action_head.weight)

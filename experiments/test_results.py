@@ -133,18 +133,18 @@ def test_planners_and_knobs_are_measured_in_their_rooms(folder, monkeypatch):
                         or ({"anywhere": RATE | {"n": len(rooms)}}, []))
     monkeypatch.setattr(results, "summarise", lambda traces: RATE)
     results.write_planners()
-    results.write_knobs()
-    for name in ("planners", "level3-planners", "knobs"):
+    results.write_lab_errors()
+    for name in ("planners", "level3-planners", "lab-errors"):
         published = pd.read_csv(ROOT / "results" / f"{name}.csv")
         made = pd.read_csv(folder / f"{name}.csv")
         assert list(made) == list(published)
         keys = list(made)[:2]
         assert set(map(tuple, made[keys].values)) <= set(map(tuple, published[keys].values))
-    assert set(made.knob) == {"none", "all", *vars(Reality())}
-    for knob, [room] in zip(made.knob, driven[-len(made):]):
+    assert set(made.error) == {"none", "all", *vars(Reality())}
+    for error, [room] in zip(made.error, driven[-len(made):]):
         changed = {name for name, value in vars(room.reality).items()
                    if value != getattr(Reality(), name)}
-        assert room == scenes.load("lab") if knob == "all" else changed == {knob} - {"none"}
+        assert room == scenes.load("lab") if error == "all" else changed == {error} - {"none"}
 
 
 def test_a_run_with_other_options_is_refused_before_anything_is_trained(folder, capsys):

@@ -10,15 +10,15 @@ import numpy as np
 from navbot_min import COLLISION, OUTCOMES, NavEnv, NavVecEnv, polar_targets
 from render import FOCAL, H, W
 from robot import ring
-from robot.looks import DRAWN_LOOKS, Cameras
-from scenes.reality import KNOBS, Reality
+from robot.appearance import DRAWN_APPEARANCES, Cameras
+from scenes.reality import ERRORS, Reality
 from sim import ARRIVAL_DISTANCE, CONTROL_PERIOD, wrap_angle
 
 WHEELBASE = 0.23  # [m] between the wheels of a Kobuki
 STANDING_STEPS = round(10 / CONTROL_PERIOD)  # 10 s without motion ahead end an episode, our choice
 STANDING_SPEED = 0.01  # [m/s] slower is no motion ahead, our choice
 STANDING = len(OUTCOMES)  # index of the lab's own outcome
-FACTORS = ("exposure", "white_balance", "wheel_gains")  # knobs that are factors
+FACTORS = ("exposure", "white_balance", "wheel_gains")  # errors that are factors
 GUESS = {  # the largest errors that are drawn: our choice, 1.9 to 5 times the lab's
     "exposure": 0.5, "white_balance": 0.2, "camera_yaw": math.radians(4),
     "camera_pitch": math.radians(4), "distance_drift": 0.06, "turn_drift": 0.06,
@@ -37,7 +37,7 @@ def shift_rows(images, rows):
 
 
 class RealVecEnv(NavVecEnv):
-    """NavVecEnv with the errors of each scene's `reality`. Every knob is an attribute of its name
+    """NavVecEnv with the errors of each scene's `reality`. Every error is an attribute of its name
     with the values of the episodes under way, (R,), or (R, count) if it has several.
 
     With the ring an episode can also end as `standing`. `final_info` also holds `stops`, in how
@@ -53,12 +53,12 @@ class RealVecEnv(NavVecEnv):
         """As NavVecEnv."""
         super().__init__(num_envs, scenes, *args, **options)
         R = num_envs
-        self.look = np.full(R, "simulation", object)
-        # Each robot has a scene of its own, so that each can have its own look.
+        self.appearance = np.full(R, "simulation", object)
+        # Each robot has a scene of its own, so that each can have its own appearance.
         self.scenes = self.world.scenes
         self.scene_of = np.arange(R)
-        self.camera = Cameras(self.scenes, self.look)
-        for name, item in KNOBS.items():
+        self.camera = Cameras(self.scenes, self.appearance)
+        for name, item in ERRORS.items():
             setattr(self, name, np.zeros((R, *np.shape(item.default))))
         self.estimates = np.zeros((R, 3))  # poses by odometry
         self.asked = np.zeros((R, 2))  # [m/s, rad/s] what the wheels were told
@@ -74,8 +74,8 @@ class RealVecEnv(NavVecEnv):
     def check_rooms(scenes):
         """Accepts every room."""
 
-    def draw_knobs(self, r):
-        """Returns the look and the values of all knobs in robot r's next episode, by name."""
+    def draw_errors(self, r):
+        """Returns the appearance and all errors of robot r's next episode, by name."""
         return asdict(self.scenes[r].reality or Reality())
 
     def command(self, actions):
@@ -134,7 +134,7 @@ class RealVecEnv(NavVecEnv):
 
     def _begin_reality(self, r):
         """Draws what is robot r's own in the episode that begins."""
-        for name, value in self.draw_knobs(r).items():
+        for name, value in self.draw_errors(r).items():
             getattr(self, name)[r] = value
         sigmas = np.array([self.distance_drift[r], self.turn_drift[r]])
         self._drift[r] = sigmas * self.np_random.standard_normal(2)
@@ -169,12 +169,12 @@ class RealEnv(NavEnv):
 
 
 class RandomVecEnv(RealVecEnv):
-    """Errors of which only the size is guessed: in every episode the look and the knobs are drawn
-    anew, evenly, up to GUESS. Of factors the logarithm is drawn."""
+    """Errors of which only the size is guessed: in every episode the appearance and the errors
+    are drawn again, evenly, up to GUESS. Of factors the logarithm is drawn."""
 
-    def draw_knobs(self, r):
-        drawn = {"look": self.np_random.integers(DRAWN_LOOKS)}
-        for name, item in KNOBS.items():
+    def draw_errors(self, r):
+        drawn = {"appearance": self.np_random.integers(DRAWN_APPEARANCES)}
+        for name, item in ERRORS.items():
             no_error = np.array(item.default)
             low = 0.0 if item.metadata["low"] == 0 else -GUESS[name]
             error = self.np_random.uniform(low, GUESS[name], no_error.shape)

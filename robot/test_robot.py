@@ -19,7 +19,7 @@ from robot.lab import LabRobot
 from robot.mapping import OccupancyGrid
 from robot.robot import drive
 from scenes.generate import walls
-from scenes.reality import KNOBS, Reality
+from scenes.reality import ERRORS, Reality
 from sim import CONTROL_PERIOD, ROBOT_RADIUS, Scene, World, wrap_angle
 
 PLAIN = scenes.load("env2")
@@ -27,9 +27,9 @@ LAB = scenes.load("lab")
 FLOOR = Scene("floor", tuple(walls(12.0, 12.0)), (0.0, 0.0, 0.0), ((3.0, 0.0),), ())
 
 
-def real(scene=PLAIN, **knobs):
-    """Returns a room with those knobs."""
-    return replace(scene, reality=Reality(**knobs))
+def real(scene=PLAIN, **errors):
+    """Returns a room with those errors."""
+    return replace(scene, reality=Reality(**errors))
 
 
 def started(scene, R=4, environment=RealVecEnv):
@@ -116,7 +116,7 @@ def test_exposure_white_balance_and_yaw_are_as_large_as_they_say():
 
 
 def test_a_room_that_looks_otherwise_has_the_same_shapes():
-    plain, lab = [started(real(look=look))[1]["image"] for look in ("simulation", "lab")]
+    plain, lab = [started(real(appearance=name))[1]["image"] for name in ("simulation", "lab")]
     floor = (plain == (118, 118, 118)).all(-1)
     assert np.array_equal(floor, (lab == (134, 112, 84)).all(-1)) and floor.mean() > 0.1
     assert (plain != lab).mean() > 0.9
@@ -127,10 +127,10 @@ def test_drawn_errors_are_within_what_a_file_may_hold_and_new_in_every_episode()
     exposure = env.exposure.copy()
     again, _ = env.reset()
     assert (env.exposure != exposure).all() and (seen["image"] != again["image"]).mean() > 0.9
-    drawn = [env.draw_knobs(0) for _ in range(300)]
-    assert len({knobs["look"] for knobs in drawn}) > 60
-    for name, item in KNOBS.items():
-        values = np.array([knobs[name] for knobs in drawn])
+    drawn = [env.draw_errors(0) for _ in range(300)]
+    assert len({errors["appearance"] for errors in drawn}) > 60
+    for name, item in ERRORS.items():
+        values = np.array([errors[name] for errors in drawn])
         assert values.shape[1:] == np.shape(item.default)
         assert values.min() >= item.metadata["low"] and values.max() <= item.metadata["high"]
 
@@ -218,7 +218,7 @@ class Faulty(LabRobot):
     """The lab's robot, with a sensor that gives `fault(value, period)`. `sent` keeps commands."""
 
     def __init__(self, sensor="image", fault=lambda value, period: value):
-        super().__init__(real(LAB, look="lab"), 4)
+        super().__init__(real(LAB, appearance="lab"), 4)
         self.sent = []
         measure = getattr(self, sensor)
         setattr(self, sensor, lambda: fault(measure(), self._periods))

@@ -35,7 +35,8 @@ def test_a_training_begins_with_eyes_and_memory_of_the_weights_that_it_is_given(
     given, _ = load_model(ENV2_WEIGHTS)
     begun = training(init=ENV2_WEIGHTS).model.state_dict()
     fresh = make_network(0).state_dict()
-    last = ("log_std", "action.weight", "action.bias", "value.weight", "value.bias")
+    last = ("log_std", "action_head.weight", "action_head.bias", "value_head.weight",
+            "value_head.bias")
     expected = given.state_dict() | {name: fresh[name] for name in last}
     assert all(torch.equal(value, expected[name]) for name, value in begun.items())
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, fields
 
 from scenes import check, check_keys, number, numbers, shown
 
-LOOKS = ("simulation", "lab")  # of walls, floor, ceiling and light; robot/looks.py
+APPEARANCES = ("simulation", "lab")  # of walls, floor, ceiling and light; robot/appearance.py
 ANGLES = ("camera_yaw", "camera_pitch")  # in degrees in a file, as `camera_yaw_degrees`
 
 
-def knob(default, low, high):
+def error(default, low, high):
     """Returns a field of `Reality`: a number, or a tuple of numbers, from low to high."""
     return field(default=default, metadata={"low": low, "high": high})
 
@@ -18,33 +18,34 @@ def knob(default, low, high):
 @dataclass(frozen=True)
 class Reality:
     """The errors of one room. The defaults are a simulation: no errors."""
-    look: str = "simulation"
-    exposure: float = knob(1.0, 0.2, 5.0)  # factor of all colours
-    white_balance: tuple = knob((1.0, 1.0, 1.0), 0.2, 5.0)  # factors of red, green and blue
-    camera_yaw: float = knob(0.0, -0.3, 0.3)  # [rad] of its mounting, to the left
-    camera_pitch: float = knob(0.0, -0.3, 0.3)  # [rad] of its mounting, up
+    appearance: str = "simulation"
+    exposure: float = error(1.0, 0.2, 5.0)  # factor of all colours
+    white_balance: tuple = error((1.0, 1.0, 1.0), 0.2, 5.0)  # factors of red, green and blue
+    camera_yaw: float = error(0.0, -0.3, 0.3)  # [rad] of its mounting, to the left
+    camera_pitch: float = error(0.0, -0.3, 0.3)  # [rad] of its mounting, up
     # Errors of odometry are drawn once per episode, from normal distributions with these standard
     # deviations, and grow with the distance driven and the angle turned.
-    distance_drift: float = knob(0.0, 0.0, 1.0)  # [m/m]
-    turn_drift: float = knob(0.0, 0.0, 1.0)  # [rad/rad]
-    wheel_gains: tuple = knob((1.0, 1.0), 0.2, 5.0)  # true speed over commanded, left and right
-    image_delay: float = knob(0.0, 0.0, 1.0)  # fraction of episodes with images one period late
+    distance_drift: float = error(0.0, 0.0, 1.0)  # [m/m]
+    turn_drift: float = error(0.0, 0.0, 1.0)  # [rad/rad]
+    wheel_gains: tuple = error((1.0, 1.0), 0.2, 5.0)  # true speed over commanded, left and right
+    image_delay: float = error(0.0, 0.0, 1.0)  # fraction of episodes with images one period late
 
 
-KNOBS = {item.name: item for item in fields(Reality) if item.name != "look"}
+ERRORS = {item.name: item for item in fields(Reality) if item.name != "appearance"}
 
 
 def parse_reality(table, in_degrees):
     """Returns the Reality of a scene file's table or, if not in_degrees, of a dict that
     `dataclasses.asdict` made of one. Raises SceneError."""
     suffix = "_degrees" if in_degrees else ""
-    names = {name + suffix if name in ANGLES else name: name for name in ("look", *KNOBS)}
+    names = {name + suffix if name in ANGLES else name: name for name in ("appearance", *ERRORS)}
     check_keys(table, (), "reality", optional=names)
-    look = table.get("look", "simulation")
-    check(look in LOOKS, f"reality.look is {shown(look)}, it must be one of {', '.join(LOOKS)}")
-    values = {"look": look}
-    for key in sorted(table.keys() - {"look"}):
-        item = KNOBS[names[key]]
+    appearance = table.get("appearance", "simulation")
+    check(appearance in APPEARANCES, f"reality.appearance is {shown(appearance)}, it must be one "
+          f"of {', '.join(APPEARANCES)}")
+    values = {"appearance": appearance}
+    for key in sorted(table.keys() - {"appearance"}):
+        item = ERRORS[names[key]]
         unit = math.radians(1) if in_degrees and item.name in ANGLES else 1
         limits = [limit / unit for limit in item.metadata.values()]
         if isinstance(item.default, tuple):

@@ -93,7 +93,7 @@ def test_a_scene_comes_back_from_its_json_bit_for_bit(name):
     (dict(new_targets=[[math.nan, 0.0]]), "new_targets[0][0] is nan, it must be a number from -1"),
     (dict(new_targets=[[1.0, 0.0]]), "(1.0, 0.0) is a training target and a new one"),
     (dict(start=dict(x=1.9, y=0.0, heading_degrees=0)), "start (1.9, 0.0) is nearer to a box"),
-    (dict(reality={"blur": 0.6}), "reality has an unknown key 'blur'; known: look, exposure, "),
+    (dict(reality={"blur": 0.6}), "reality has an unknown key 'blur'; known: appearance, "),
     (dict(reality={"camera_yaw_degrees": 18}), "it must be a number from -17.18873 to 17.18873"),
     (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
     (dict(boxes=[*square_room()["boxes"], box(x=28.0)]), "spread over 30.2 m, it must be at most"),

@@ -24,7 +24,7 @@ class Thinker(TurnToTarget):
         self.begun = [*getattr(self, "begun", []), robots.tolist()]
 
     def act(self, env, observations):
-        self.thoughts = {"distance": observations["target"][:, 0]}
+        self.activations = {"distance": observations["target"][:, 0]}
         return super().act(env, observations)
 
 
@@ -63,7 +63,7 @@ def test_traces_are_each_robots_first_episodes_whole_and_in_the_order_of_their_e
         assert (trace.target, trace.new) == (final["target_index"][r], final["new"][r])
         assert trace.outcome == OUTCOMES[final["outcome"][r]]
         away = np.hypot(*(trace.goal - trace.poses[:-1, :2]).T)
-        assert trace.thoughts["distance"] == pytest.approx(away, abs=1e-5)
+        assert trace.activations["distance"] == pytest.approx(away, abs=1e-5)
     told = [np.flatnonzero(done).tolist() for done in ended if done.any()]
     assert driver.begun == [list(range(6)), *told[:len(driver.begun) - 1]]
 

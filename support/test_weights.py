@@ -70,8 +70,8 @@ def test_a_run_under_way_offers_its_newest_weights(saved, tmp_path):
 
 
 @pytest.mark.parametrize("name, value, about, words", [
-    ("value.bias", torch.zeros(2), {}, "'value.bias' has another type or shape"),
-    ("value.bias", torch.tensor([torch.nan]), {}, "'value.bias' has values that are"),
+    ("value_head.bias", torch.zeros(2), {}, "'value_head.bias' has another type or shape"),
+    ("value_head.bias", torch.tensor([torch.nan]), {}, "'value_head.bias' has values that are"),
     ("other", torch.zeros(1), {}, "its weights have other names"),
     (None, None, {"memory": "big"}, "it holds no network of this version"),
     (None, None, {"scenes": 3}, "")])

@@ -21,7 +21,7 @@ class Trace:
     rewards: np.ndarray  # (T,)
     outcome: str  # one of the environment's `outcomes`
     images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, if they were asked for
-    thoughts: dict | None = None  # of (T, ...) arrays, what the driver kept in its `thoughts`
+    activations: dict | None = None  # of (T, ...) arrays, what the driver kept in its `activations`
     stops: int = 0  # periods in which the ring's sensors refused to drive on
     label: str = ""  # words below its film
 
@@ -50,7 +50,7 @@ def trace_of(env, r, steps, infos, images):
                  outcome=env.outcomes[final["outcome"]],
                  images=np.array([*columns.pop("image"), infos["final_obs"]["image"][r]])
                  if images else None,
-                 stops=int(final.get("stops", 0)), thoughts=columns or None)
+                 stops=int(final.get("stops", 0)), activations=columns or None)
 
 
 class TurnToTarget:
@@ -70,7 +70,7 @@ def drive(driver, env, quota, seed=0, images=False):
     which they end.
 
     driver: has `reset(env, robots)`, called with the indices of robots whose episodes begin, and
-    `act(env, observations)`, which returns actions (R, 2); and may have `thoughts`, a dict of
+    `act(env, observations)`, which returns actions (R, 2); and may have `activations`, a dict of
     (R, ...) arrays that are worth keeping of its last `act`. quota: how many episodes count, of
     each robot its first ones; (R,), or one for all. images: whether to keep what the camera saw.
 
@@ -88,7 +88,7 @@ def drive(driver, env, quota, seed=0, images=False):
         if images:
             step["image"] = observations["image"].copy()
         actions = driver.act(env, observations)
-        step |= {name: value.copy() for name, value in getattr(driver, "thoughts", {}).items()}
+        step |= {name: value.copy() for name, value in getattr(driver, "activations", {}).items()}
         observations, rewards, terminated, truncated, infos = env.step(actions)
         step |= {"pose": infos["pose"], "command": infos["command"], "reward": rewards}
         for steps in under_way.values():

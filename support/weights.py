@@ -12,7 +12,7 @@ from model import BLANKS, MEMORIES, Network
 from support.runs import RunError, write
 
 FILE = "model.safetensors"
-FORMAT = "navbot_min 2"
+FORMAT = "navbot_min 3"
 
 
 def save_model(path, model, scenes):

@@ -1,5 +1,5 @@
-"""How rooms look to the camera: textures and light of the simulation, those of the lab, and others
-that are drawn."""
+"""The appearance of rooms to the camera: textures and light of the simulation, of the lab,
+and drawn at random."""
 
 from functools import partial
 
@@ -9,7 +9,7 @@ from render import ABOVE, Camera, H, W
 from scenes import MATERIALS
 from support.textures import PERIOD, texture
 
-DRAWN_LOOKS = 64  # our choice, the same in every run
+DRAWN_APPEARANCES = 64  # our choice, the same in every run
 SUN = np.array((-0.3, 0.6, 0.5))  # from windows on the other side
 U, V = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")  # [texel] along, above foot
 
@@ -70,23 +70,23 @@ class DrawnCamera(LabCamera):
 
 
 class Cameras:
-    """A camera for each look. Like render.Camera, its `render` takes indices into scenes."""
+    """A camera for each appearance. Like render.Camera, its `render` takes indices into scenes."""
 
-    def __init__(self, scenes, look_of):
-        """look_of: of each scene "simulation", "lab" or the seed of a DrawnCamera: an array, which
-        may change."""
+    def __init__(self, scenes, appearance_of):
+        """appearance_of: an array with an entry for each scene, which may change: "simulation",
+        "lab" or the seed of a DrawnCamera."""
         self.scenes = scenes
-        self.look_of = look_of
-        self.cameras = {}  # of the looks that occurred
+        self.appearance_of = appearance_of
+        self.cameras = {}  # appearance -> camera, of those that occurred
 
     def render(self, scene_of, poses, targets):
         images = np.empty((len(poses), H, W, 3), np.uint8)
-        for look in set(self.look_of[scene_of]):
-            if look not in self.cameras:
+        for appearance in set(self.appearance_of[scene_of]):
+            if appearance not in self.cameras:
                 known = {"simulation": Camera, "lab": LabCamera}
-                make = known.get(look) or partial(DrawnCamera, seed=look)
-                self.cameras[look] = make(self.scenes)
-            chosen = np.flatnonzero(self.look_of[scene_of] == look)
-            images[chosen] = self.cameras[look].render(scene_of[chosen], poses[chosen],
-                                                       targets[chosen])
+                make = known.get(appearance) or partial(DrawnCamera, seed=appearance)
+                self.cameras[appearance] = make(self.scenes)
+            chosen = np.flatnonzero(self.appearance_of[scene_of] == appearance)
+            images[chosen] = self.cameras[appearance].render(scene_of[chosen], poses[chosen],
+                                                             targets[chosen])
         return images
