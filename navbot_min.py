@@ -1,9 +1,9 @@
-"""The task: what the robot sees, what it may do, its reward, and when an episode ends (paper III).
+"""The task: observations, actions, rewards, and the end of an episode (paper III).
 
-`NavVecEnv` runs R robots at once and holds the task; `NavEnv` is one robot. Both are Gymnasium
+`NavVecEnv` defines the task and runs R robots at once; `NavEnv` is one robot. Both are Gymnasium
 environments. `python navbot_min.py --env env1` drives one robot by a simple rule and draws it. The
-source of a number stands behind it: 'paper' with its section, or 'released', the authors' code and
-settings, which say what the paper does not (docs/paper.md).
+comment after each constant gives its source: 'paper' with the section, or 'released', the authors'
+code and settings, for what the paper leaves out (docs/paper.md).
 
 Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
@@ -26,11 +26,11 @@ ARRIVAL_REWARD = 100.0  # released config
 COLLISION_REWARD = -50.0  # released config
 PROGRESS_REWARD = 100.0  # [1/m] c_r of Eq. (4), released config
 STEP_COST = 0.05  # c_p of Eq. (4), released config
-MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script allows 1000
+MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script has 1000
 MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad/s]
 LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the maxima
 HIGHEST_ACTION = np.array([1.0, 1.0])
-FARTHEST = 100.0  # [m] bound of an observed distance, the same for all rooms, our choice
+FARTHEST = 100.0  # [m] upper bound of the observed distance in every room, our choice
 HIGHEST_REWARD = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
@@ -39,7 +39,8 @@ RENDER_FPS = 10  # frames per second; a frame is CONTROL_PERIOD, so four times r
 
 
 def polar_targets(poses, targets):
-    """Distance [m] and bearing [rad] in (-pi, pi], (R, 2), of targets (R, 2) from poses (R, 3)."""
+    """Returns distance [m] and bearing [rad] in (-pi, pi] of targets (R, 2) from poses (R, 3), as
+    an (R, 2) array."""
     dx = targets[:, 0] - poses[:, 0]
     dy = targets[:, 1] - poses[:, 1]
     bearing = wrap_angle(np.arctan2(dy, dx) - poses[:, 2])
@@ -47,18 +48,18 @@ def polar_targets(poses, targets):
 
 
 def rewards(before, after, arrived, failed):
-    """Rewards (R,) by Eq. (4). before, after: distances to the target [m] before and after the
-    step. arrived, failed: (R,) bool; an arrival wins over a failure, which is a collision."""
+    """Returns the rewards (R,) of Eq. (4). before, after: distances to the target [m] before and
+    after the step. arrived, failed: (R,) bool; a failure is a collision, arrival comes first."""
     progress = PROGRESS_REWARD * (before - after) - STEP_COST
     return np.where(arrived, ARRIVAL_REWARD, np.where(failed, COLLISION_REWARD, progress))
 
 
-# The levels of paper II-B. Each draws an episode: the target's index in `scene.targets`, the goal
-# (2,) [m] and the start pose (3,). choices: the indices that it draws from. rng: numpy Generator.
+# The levels of paper II-B. Each draws an episode and returns the target's index in `scene.targets`,
+# the goal (2,) [m] and the start pose (3,). choices: indices of targets. rng: numpy Generator.
 
 
 def level_1(scene, choices, rng):
-    """From near a start pose to near a target."""
+    """Draws a start pose and a target, both slightly perturbed."""
     target = choices[rng.integers(len(choices))]
     start = scene.own_start(rng)
     goal = scene.near(scene.targets[target], rng)
@@ -66,8 +67,8 @@ def level_1(scene, choices, rng):
 
 
 def level_2(scene, choices, rng, random_starts=0.0):
-    """From a start pose to a target. random_starts: the fraction of the episodes to training
-    targets that start at any reachable pose instead, 1 m or more from the target."""
+    """Draws a start pose and a target. random_starts: fraction of the episodes to training targets
+    that start at a random reachable pose instead, at least 1 m from the target."""
     target = choices[rng.integers(len(choices))]
     goal = scene.targets[target]
     start = scene.own_start(rng)
@@ -78,7 +79,7 @@ def level_2(scene, choices, rng, random_starts=0.0):
 
 
 def level_3(scene, choices, rng):
-    """From anywhere to anywhere. The target's index has no meaning."""
+    """Draws a random start and a random target. The returned index has no meaning."""
     target = choices[rng.integers(len(choices))]
     goal = scene.any_place(rng)
     return target, goal, scene.any_start(goal, rng)
@@ -88,20 +89,20 @@ LEVELS = {"memorize": level_1, "anywhere": level_3}  # by `targets`; any other v
 
 
 class NavVecEnv(VectorEnv):
-    """R robots, each on its way to a target; one whose episode ends begins the next at once.
+    """R robots, each driving to a target. When a robot's episode ends, its next one begins.
 
-    An observation is a dict of `image` (R, H, W, 3) uint8 RGB, `target` (R, 2) distance [m] and
-    bearing [rad], `velocity` (R, 2) the last command as executed [m/s, rad/s], and `last_reward`
-    (R, 1); the last two are 0 at an episode's start. An action (R, 2) holds the linear velocity in
-    [0, 1] and the angular velocity in [-1, 1] as fractions of their maxima. It is clipped.
+    An observation is a dict of `image` (R, H, W, 3) uint8 RGB; `target` (R, 2), distance [m] and
+    bearing [rad]; `velocity` (R, 2), the last executed command [m/s, rad/s]; and `last_reward`
+    (R, 1). The last two are 0 when an episode starts. An action (R, 2) is the linear velocity in
+    [0, 1] and the angular velocity in [-1, 1], as fractions of their maxima. It is clipped.
 
-    Arrival and collision terminate an episode, the step limit truncates it. `infos` holds the
-    `pose` (R, 3) that a step led to and the `command` (R, 2). Autoreset is same-step: when episodes
-    end, `observations` are those of the next ones, `infos["final_obs"]` holds the last (R, ...) and
-    `infos["final_info"]` their `episode_info`. A key after a `_` is the mask of the key.
+    Arrival and collision terminate an episode; the step limit truncates it. `infos` holds the
+    `pose` (R, 3) after the step and the `command` (R, 2). Autoreset is same-step: when an episode
+    ends, `observations` already belong to the next one, `infos["final_obs"]` holds the last
+    observation and `infos["final_info"]` its `episode_info`. The key `_name` is the mask of `name`.
 
-    A subclass changes the task by overriding hooks: `sample_episode`, `observe`, `command`,
-    `drive`, `reward`.
+    A subclass changes the task by overriding the hooks `sample_episode`, `observe`, `command`,
+    `drive` and `reward`.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -111,10 +112,10 @@ class NavVecEnv(VectorEnv):
     def __init__(self, num_envs=32, scenes=("env1",), targets="both", random_starts=0.0,
                  max_episode_steps=MAX_EPISODE_STEPS, level=None):
         """scenes: a list of names, paths or Scenes; robot r drives in `scenes[r % len(scenes)]`.
-        targets: draws each episode's target from `training`, `new` or `both`; `memorize` is the
-        first target by level 1 and `anywhere` is level 3; or (R,) indices into `scene.targets`, one
-        for each robot. random_starts: see `level_2`. max_episode_steps: -1 is no limit.
-        level: the function that draws the episodes, by default as `targets` says.
+        targets: each episode's target is drawn from the `training` or `new` ones or `both`;
+        `memorize` is level 1 with the first target, `anywhere` is level 3; or (R,) indices into
+        `scene.targets`, one per robot. random_starts: see `level_2`. max_episode_steps: -1 for no
+        limit. level: the function that draws episodes; the default follows from `targets`.
         Raises ValueError, SceneError.
         """
         check_arguments(num_envs, scenes, random_starts, max_episode_steps)
@@ -141,17 +142,17 @@ class NavVecEnv(VectorEnv):
         self._target = np.zeros(num_envs, dtype=int)  # of the episodes under way
         self.goals = np.zeros((num_envs, 2))  # [m] positions of these targets
         self.starts = np.zeros((num_envs, 3))  # poses at which these episodes started
-        self._steps = None  # (R,) steps so far; None before the first reset
-        self._return = np.zeros(num_envs)  # sums of the rewards so far
+        self._steps = None  # (R,) steps in the current episodes; None before the first reset
+        self._return = np.zeros(num_envs)  # sums of their rewards
 
     @staticmethod
     def check_rooms(scenes):
-        """Raises SceneError for a room with a robot's errors: here they would be left out."""
+        """Raises SceneError for a room with a robot's errors, which this class would ignore."""
         refuse_reality(scenes)
 
     def reset(self, *, seed=None, options=None):
-        """Starts every robot's episode. options: `target`, an index into the scene's targets, and
-        `start`, a pose (x, y, theta), one for all robots or one for each. Raises ValueError."""
+        """Starts an episode for every robot. options: `target`, an index into the scene's targets,
+        and `start`, a pose (x, y, theta); for all robots or one each. Raises ValueError."""
         options = check_options(options or {}, self.world.scenes)
         super().reset(seed=seed)
         self._steps = np.zeros(self.num_envs, dtype=int)
@@ -159,8 +160,8 @@ class NavVecEnv(VectorEnv):
         return observations, {"pose": self.world.poses, "command": np.zeros((self.num_envs, 2))}
 
     def _begin(self, robots, options):
-        """Starts a new episode of these robots, (n,) indices. Returns their observations.
-        options: of `reset`, as arrays; they replace what is drawn."""
+        """Starts new episodes for these robots, (n,) indices. Returns their observations.
+        options: as in `reset`, as arrays; they replace drawn values."""
         for r in robots:
             episode = asked_episode(self.sample_episode(r), options, r, self.world.scenes[r])
             self._target[r], self.goals[r], self.starts[r] = episode
@@ -171,32 +172,32 @@ class NavVecEnv(VectorEnv):
                             np.zeros((len(robots), 2)), np.zeros(len(robots)))
 
     def sample_episode(self, r):
-        """Draws robot r's next episode by `self.np_random`: target (index), goal (2,) [m], start
-        pose (3,). A hook."""
+        """Draws robot r's next episode with `self.np_random`. Returns target (index), goal (2,) [m]
+        and start pose (3,). Hook."""
         scene = self.world.scenes[r]
         if self.level is None:
             return level_2(scene, self._choices[r], self.np_random, self.random_starts)
         return self.level(scene, self._choices[r], self.np_random)
 
     def observe(self, robots, poses, goals, velocities, last_rewards):
-        """Returns what these robots (n,) see: from poses (n, 3) with goals (n, 2) [m], after
-        commands (n, 2) [m/s, rad/s] and rewards (n,). A hook."""
+        """Returns observations of these robots (n,) at poses (n, 3) with goals (n, 2) [m], after
+        commands (n, 2) [m/s, rad/s] and rewards (n,). Hook."""
         return {"image": self.camera.render(self.scene_of[robots], poses, goals),
                 "target": polar_targets(poses, goals).astype(np.float32),
                 "velocity": velocities.astype(np.float32),
                 "last_reward": last_rewards[:, None].astype(np.float32)}
 
     def command(self, actions):
-        """Returns the commands (R, 2) [m/s, rad/s] of actions (R, 2). A hook."""
+        """Returns the commands (R, 2) [m/s, rad/s] for actions (R, 2). Hook."""
         return actions.clip(LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
 
     def drive(self, commands):
-        """Drives all robots for one control period. Returns (R,) bool: which of them failed, which
-        ends their episodes. Here, a failure is a collision. A hook."""
+        """Drives all robots for one control period. Returns (R,) bool: True for robots that failed,
+        which ends their episodes. Here a failure is a collision. Hook."""
         return self.world.drive(commands)
 
     def reward(self, before, after, arrived, failed):
-        """Returns the rewards (R,) of a step; the arguments are those of `rewards`. A hook."""
+        """Returns the rewards (R,); the arguments are those of `rewards`. Hook."""
         return rewards(before, after, arrived, failed)
 
     def step(self, actions):
@@ -224,7 +225,7 @@ class NavVecEnv(VectorEnv):
         done = terminated | truncated
         if done.any():
             outcome = np.select([arrived, failed], [ARRIVAL, COLLISION], TIMEOUT)
-            # The statistics first: beginning the next episodes clears them.
+            # Collect the statistics before the next episodes begin and clear them.
             final_info = self.episode_info(outcome)
             final_info |= {f"_{key}": done for key in final_info}
             infos |= {"final_info": final_info, "_final_info": done, "_final_obs": done,
@@ -235,8 +236,8 @@ class NavVecEnv(VectorEnv):
         return observations, reward, terminated, truncated, infos
 
     def episode_info(self, outcome):
-        """Statistics (R,) of the episodes under way if they end now with this outcome (R,), an
-        index into `outcomes`."""
+        """Returns statistics (R,) of the current episodes, given their outcome (R,), an index into
+        `outcomes`."""
         return {"outcome": outcome, "is_success": outcome == ARRIVAL,
                 "return": self._return.copy(), "length": self._steps.copy(),
                 "target_index": self._target.copy(),
@@ -246,17 +247,17 @@ class NavVecEnv(VectorEnv):
 
 
 class NavEnv(gym.Env):
-    """One robot: `NavVecEnv` with R = 1, without the robots' axis and without autoreset. `info`
-    holds pose, command and `NavVecEnv.episode_info` at every step. `gymnasium.make` adds the time
-    limit, 200 steps, by a wrapper: if that truncates an episode, `outcome` is still UNDER_WAY."""
+    """One robot: `NavVecEnv` with R = 1, without the robot axis and without autoreset. `info` holds
+    pose, command and `NavVecEnv.episode_info` at every step. `gymnasium.make` adds the limit of 200
+    steps by a wrapper; when the wrapper truncates an episode, `outcome` is still UNDER_WAY."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
     vector_class = NavVecEnv  # a subclass names its own
 
     def __init__(self, scenes=("env1",), targets="both", random_starts=0.0,
                  max_episode_steps=NO_LIMIT, render_mode=None):
-        """As NavVecEnv, but without a time limit by default. render_mode: "rgb_array", a picture by
-        `render`, or "human", a window. Raises ValueError."""
+        """Takes the arguments of NavVecEnv, but has no time limit by default. render_mode:
+        "rgb_array" (`render` returns a picture) or "human" (a window). Raises ValueError."""
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.vector = self.vector_class(1, scenes, targets, random_starts, max_episode_steps)
         self.observation_space = self.vector.single_observation_space
@@ -267,7 +268,7 @@ class NavEnv(gym.Env):
         self._screen = None  # the pictures of `render`
 
     def reset(self, *, seed=None, options=None):
-        """Starts an episode. options: its `target` and `start`, as in NavVecEnv."""
+        """Starts an episode. options: `target` and `start`, as in NavVecEnv."""
         super().reset(seed=seed)
         self.vector.np_random = self.np_random  # a user may have set another generator
         observations, infos = self.vector.reset(options=options)
@@ -275,7 +276,7 @@ class NavEnv(gym.Env):
         return self._look(observations, infos, self.vector.episode_info(np.array([UNDER_WAY])))
 
     def step(self, action):
-        """As in NavVecEnv, for one action (2,). Raises ValueError, ResetNeeded."""
+        """Makes one step, as in NavVecEnv, with one action (2,). Raises ValueError, ResetNeeded."""
         if self._is_over:
             raise ResetNeeded("step() was called before reset(), or after the episode's end")
         observations, rewards, terminated, truncated, infos = self.vector.step(np.array([action]))
@@ -288,7 +289,7 @@ class NavEnv(gym.Env):
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def _look(self, observations, infos, statistics):
-        """Returns the one robot's observation and info. A window shows them at once."""
+        """Returns the robot's observation and info, and updates the window if there is one."""
         info = {"pose": infos["pose"][0], "command": infos["command"][0]}
         info |= {key: value[0].item() for key, value in statistics.items() if key[0] != "_"}
         self._last = {key: value[0] for key, value in observations.items()}, info
@@ -297,14 +298,14 @@ class NavEnv(gym.Env):
         return self._last
 
     def render(self):
-        """Draws the map beside the camera's image. With render_mode "rgb_array" returns a (height,
-        width, 3) uint8 picture, with "human" shows it in a window. Raises ResetNeeded."""
+        """Draws the map and the camera image side by side. With render_mode "rgb_array", returns a
+        (height, width, 3) uint8 picture; with "human", shows it. Raises ResetNeeded."""
         if self.render_mode is None:
             return None
         if self._last is None:
             raise ResetNeeded("render() was called before reset()")
         if self._screen is None:
-            from support.film import Screen  # loads matplotlib, which the task does without
+            from support.film import Screen  # loads matplotlib, which the task does not need
             self._screen = Screen(self.vector.world.scenes[0], self.render_mode, RENDER_FPS)
         return self._screen.draw(*self._last)
 
@@ -325,5 +326,5 @@ for _name in scene_files.names():
 
 
 if __name__ == "__main__":
-    from support.demo import main  # loads matplotlib, which the task does without
+    from support.demo import main  # loads matplotlib, which the task does not need
     main(NavVecEnv)

@@ -1,10 +1,10 @@
 """The learner: PPO on whole episodes (Schulman et al. 2017; paper Eq. (2), (3), Algorithm 1).
 
-The formulas and the code share their letters: r ratio, A advantage, gamma discount, lam (lambda) of
+The code uses the letters of the formulas: r ratio, A advantage, gamma discount, lam (lambda) of
 GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes of a minibatch, B its
-real steps (those that are not padding), N episodes of an update, K epochs.
+real steps (those that are not padding), N episodes per update, K epochs.
 
-There is no entropy bonus: the policy's standard deviation is a parameter, which starts large,
+There is no entropy bonus: the standard deviation of the actions is a parameter that starts large,
 shrinks as the policy learns, and is limited towards the end of a run.
 """
 
@@ -16,44 +16,44 @@ from torch import nn
 from torch.nn.functional import mse_loss
 from torch.nn.utils.rnn import pad_sequence
 
-VALUE_WEIGHT = 0.5  # of the value loss beside the policy loss, our choice
-MAX_GRADIENT_NORM = 0.5  # longer gradients are scaled down to it, our choice
+VALUE_WEIGHT = 0.5  # weight of the value loss, our choice
+MAX_GRADIENT_NORM = 0.5  # larger gradients are scaled down to this norm, our choice
 STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction")
 
 
 @dataclass
 class Episode:
-    """What the policy saw, did and got in one whole episode, as arrays over its T steps."""
-    observations: dict  # of (T, ...) arrays, as the environment gives them
+    """Observations, actions and rewards of one whole episode, as arrays over its T steps."""
+    observations: dict  # name -> (T, ...) array, as the environment returns it
     actions: np.ndarray  # (T, 2) as sampled, before clipping
-    log_probs: np.ndarray  # (T,) of the actions, when they were taken
-    values: np.ndarray  # (T,) predicted when they were taken
+    log_probs: np.ndarray  # (T,) of the actions, under the policy that took them
+    values: np.ndarray  # (T,) predicted by the same network
     rewards: np.ndarray  # (T,) scaled
-    last_value: float  # predicted for the last observation; 0 if the episode was terminated
+    last_value: float  # value of the last observation; 0 if the episode was terminated
 
     def __len__(self):
         return len(self.actions)
 
 
 class Collector:
-    """Drives R robots with the policy as it is at each step, and hands out whole episodes. Robots
-    never wait for each other: an episode under way during an update goes on after it."""
+    """Drives R robots with the current policy and returns whole episodes. Robots never wait for
+    each other: an episode that is under way during an update continues after it."""
 
     def __init__(self, env, model, reward_scale, env_seed, action_seed):
-        """env: a Gymnasium VectorEnv with same-step autoreset and dict observations; it gets the
-        first seed, the generator that draws the actions gets the second."""
+        """env: a Gymnasium VectorEnv with same-step autoreset and dict observations. env_seed seeds
+        it; action_seed seeds the sampled actions."""
         self.env = env
         self.model = model
         self.reward_scale = reward_scale
         self.generator = torch.Generator().manual_seed(action_seed)
         self._observations, _ = env.reset(seed=env_seed)
         self._memory = model.initial_state(env.num_envs)
-        self._length = np.zeros(env.num_envs, dtype=int)  # steps of the episodes under way
-        self._history = []  # the last steps of all robots, name -> (R, ...) each
+        self._length = np.zeros(env.num_envs, dtype=int)  # (R,) steps in the current episodes
+        self._history = []  # the last steps of all robots, each a dict name -> (R, ...)
 
     def step(self):
-        """Makes one step of all robots. Returns the episodes that it ended, [(Episode, info), ...]:
-        info holds the robot's index and the environment's `final_info` of it."""
+        """Makes one step with all robots. Returns the episodes that end with it, as a list of
+        (Episode, info); info holds the robot's index and its `final_info`."""
         seen = self._observations
         _, actions, log_probs, values, self._memory = self.model.act(seen, self._memory,
                                                                      self.generator)
@@ -68,12 +68,12 @@ class Collector:
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
             info["robot"] = int(r)
             ended.append((self._take_episode(r, last_values[r]), info))
-            self._memory[r] = 0  # memory is cleared at terminated and truncated alike
+            self._memory[r] = 0  # clear the memory if terminated and if truncated
         self._history = self._history[len(self._history) - self._length.max():]
         return ended
 
     def _take_episode(self, r, last_value):
-        """The whole episode that robot r has ended."""
+        """Returns the episode that robot r has just ended."""
         history = self._history[-self._length[r]:]
         steps = {name: np.stack([step[name][r] for step in history]) for name in history[0]}
         observations = {name: steps.pop(name) for name in self._observations}
@@ -81,36 +81,36 @@ class Collector:
         return Episode(observations, **steps, last_value=float(last_value))
 
     def _last_values(self, truncated, infos):
-        """(R,) values to bootstrap from: where time ran out, that of the true last observation with
-        the memory of that moment; 0 where an episode was terminated."""
+        """Returns the values (R,) to bootstrap from: for truncated episodes the value of the true
+        last observation, with the memory at that step; 0 for all others."""
         values = np.zeros(len(truncated))
         robots = np.flatnonzero(truncated)
         if len(robots):
             final = {key: value[robots] for key, value in infos["final_obs"].items()}
-            # Of an action only its value is wanted here.
+            # Only the values are used, not the actions.
             _, _, _, last_values, _ = self.model.act(final, self._memory[robots], self.generator)
             values[robots] = last_values.numpy()
         return values
 
 
 def advantages(rewards, values, last_value, gamma, lam):
-    """Generalised advantage estimation (Schulman et al. 2016) over one episode:
-    A_t = sum_k (gamma lam)^k delta_{t+k}, delta_t = r_t + gamma V_{t+1} - V_t.
+    """Returns the advantages (T,) of one episode by generalised advantage estimation (Schulman et
+    al. 2016): A_t = sum_k (gamma lam)^k delta_{t+k}, delta_t = r_t + gamma V_{t+1} - V_t.
 
-    rewards, values: (T,). last_value is V_T: the value of the last observation where time ran out,
-    0 where the episode was terminated. Returns (T,).
+    rewards, values: (T,). last_value: V_T, the value of the last observation if the episode was
+    truncated, 0 if it was terminated.
     """
     next_values = np.append(values[1:], last_value)
     deltas = rewards + gamma * next_values - values
-    A = deltas.tolist()  # one number at a time is faster with numbers than with arrays
+    A = deltas.tolist()  # a loop is faster over a list than over an array
     for t in reversed(range(len(A) - 1)):
         A[t] += gamma * lam * A[t + 1]
     return np.array(A, np.float32)
 
 
 def make_minibatch(episodes, batch_advantages, device=None):
-    """Pads M episodes and their advantages to the longest, T steps: returns a dict of (M, T, ...)
-    tensors. `mask` (M, T) is True at real steps. Images are not padded: (B, H, W, 3)."""
+    """Pads M episodes and their advantages to the longest one, T steps. Returns a dict of tensors
+    (M, T, ...); `mask` (M, T) is True for real steps. Images are not padded: (B, H, W, 3)."""
     def pad(sequences):
         return pad_sequence([torch.as_tensor(s) for s in sequences], batch_first=True).to(device)
 
@@ -122,16 +122,14 @@ def make_minibatch(episodes, batch_advantages, device=None):
             "actions": pad([episode.actions for episode in episodes]),
             "log_probs": pad([episode.log_probs for episode in episodes]),
             "advantages": pad(batch_advantages),
-            # The values' targets are returns: A + V, by the definition of A.
+            # Value targets: A + V, by the definition of A.
             "returns": pad([A + e.values for A, e in zip(batch_advantages, episodes)]),
             "mask": pad([np.ones(len(e), bool) for e in episodes])}
 
 
 def losses(model, batch, eps):
-    """The clipped policy loss, Eq. (3), and the value loss of a minibatch, and its STATISTICS.
-
-    Every mean is over the real steps.
-    """
+    """Returns the clipped policy loss of a minibatch, Eq. (3), its value loss and its STATISTICS.
+    All means are over the real steps."""
     mask = batch["mask"]
     memory = model.initial_state(len(mask))
     distribution, values, _ = model(batch["observations"], memory, mask)
@@ -151,7 +149,7 @@ def losses(model, batch, eps):
 
 
 def mean_and_std(numbers, total):
-    """Returns mean and standard deviation of all processes' numbers, (n,) in this one."""
+    """Returns mean and standard deviation of the numbers of all processes; (n,) in this one."""
     sums = torch.tensor([len(numbers), numbers.sum(), (numbers.astype(float) ** 2).sum()])
     count, first, second = total(sums.double()).tolist()
     mean = first / count
@@ -160,8 +158,8 @@ def mean_and_std(numbers, total):
 
 @torch.no_grad()
 def average_gradient(model, statistics, steps, total):
-    """Replaces the gradient by its mean over the steps of all processes; returns the same mean of
-    the statistics. steps: how many this process has."""
+    """Replaces the gradient by its mean over the steps of all processes. Returns the same mean of
+    the statistics. steps: number of steps in this process."""
     gradients = [parameter.grad for parameter in model.parameters()]
     parts = [torch.ones(1, device=steps.device), statistics, *gradients]
     sums = total(torch.cat([part.flatten() for part in parts]).mul_(steps))
@@ -172,16 +170,16 @@ def average_gradient(model, statistics, steps, total):
 
 
 def update(model, optimizer, episodes, config, rng, total=lambda tensor: tensor):
-    """Learns from episodes: K epochs of minibatches of whole episodes, Algorithm 1. Returns the
-    means of the statistics. Raises FloatingPointError for a gradient that is not finite.
+    """Updates the model: K epochs over minibatches of whole episodes, Algorithm 1. Returns mean
+    statistics. Raises FloatingPointError if a gradient is not finite.
 
-    config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator, shuffles.
-    total: sums a tensor over all processes that learn together, each from its own episodes.
+    config: has `epochs`, `minibatches`, `gamma`, `lam`, `clip`. rng: numpy Generator for shuffles.
+    total: sums a tensor over all training processes; each learns from its own episodes.
     """
     A = [advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam) for e in episodes]
-    errors = np.concatenate(A)  # an advantage is the value's prediction error
-    returns = errors + np.concatenate([episode.values for episode in episodes])
-    mean, std = mean_and_std(errors, total)
+    all_A = np.concatenate(A)
+    returns = all_A + np.concatenate([episode.values for episode in episodes])
+    mean, std = mean_and_std(all_A, total)
     _, returns_std = mean_and_std(returns, total)
     history = []
     for _ in range(config.epochs):
@@ -198,6 +196,6 @@ def update(model, optimizer, episodes, config, rng, total=lambda tensor: tensor)
                 raise FloatingPointError("the gradient is not finite")
             optimizer.step()
     statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
-    # 1 if the values predict the returns, 0 if they know nothing of them.
+    # An advantage is the error of a value prediction: 1 is perfect prediction, 0 is none.
     statistics["explained_variance"] = 1 - std ** 2 / max(returns_std ** 2, 1e-12)
     return statistics

@@ -1,14 +1,14 @@
-"""The camera: a numpy raycaster that paints what the robots see.
+"""The camera: a numpy raycaster that paints the robots' images.
 
 The world is 2.5-D: upright boxes on a flat floor, all higher than the camera, and one low target
-cube. So an image is made of columns. The ray of a column meets the room in the plane, and what it
-meets is painted between the rows of its foot and its top. docs/code.md draws the derivations.
+cube. An image is painted column by column: the ray of a column hits a face in the plane, and the
+face fills the rows between its foot and its top. docs/code.md shows the derivations.
 
-The camera looks along its x axis, y is to the left. The ray of a column goes through the points
-(z, s z): z is the depth [m] and s the column's slope (`SLOPE`).
+The camera looks along its x axis; y points left. The ray of a column goes through the points
+(z, s z), where z is the depth [m] and s is the slope of the column's ray (`SLOPE`).
 
-Points of the plane are complex numbers, x + iy [m]: a product with exp(i angle) turns them. Axis
-letters: R robots, B boxes, F faces in view, K faces in one image, W = 64 columns, H = 48 rows,
+Points of the plane are complex numbers, x + iy [m]: multiplying by exp(i angle) rotates them. Axis
+letters: R robots, B boxes, F visible faces, K faces in one image, W = 64 columns, H = 48 rows,
 C columns of several images.
 """
 
@@ -20,58 +20,57 @@ from sim import CAMERA_HEIGHT
 from support.textures import BLUE, FLOOR, PERIOD, SKY, TEXEL, light, texture
 
 H, W = 48, 64  # [px] paper III-C
-FOCAL = W / 2 / np.tan(np.radians(60) / 2)  # [px] 60 degrees across, square pixels, released model
-CAMERA_OFFSET = -0.118  # [m] the camera's place ahead of the robot's centre, released model
-NEAR = 0.05  # [m] nothing nearer is seen, released model
-FAR = 8.0  # [m] nor farther, released model
-CUBE_SIZE = 0.2  # [m] the target, released model
-BLOCK = 64  # images that are painted at once, few enough to stay in the cache
+FOCAL = W / 2 / np.tan(np.radians(60) / 2)  # [px] 60 degrees wide, square pixels, released model
+CAMERA_OFFSET = -0.118  # [m] position ahead of the robot's centre, released model
+NEAR = 0.05  # [m] near limit of sight, released model
+FAR = 8.0  # [m] far limit of sight, released model
+CUBE_SIZE = 0.2  # [m] edge of the target cube, released model
+BLOCK = 64  # images painted together, few enough to stay in the cache
 
-
-# A texture column is what one column of the camera can show of a wall: floor below the wall's foot,
-# the wall, sky above its top. It reaches as far as the steepest ray falls or rises until FAR, so no
-# lookup needs clipping: 125 texels below the foot, 147 above it, rounded up so that bricks fit.
-EYE = CAMERA_HEIGHT / TEXEL  # [texel] height of the camera
-STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] that a ray falls or rises until FAR
+# A texture column holds all that one column of the camera can show of a wall: floor below the foot,
+# the wall, sky above the top. It covers the rise and fall of the steepest ray until FAR, so lookups
+# need no clipping: 125 texels below the foot and 147 above, rounded up to whole bricks.
+EYE = CAMERA_HEIGHT / TEXEL  # [texel] camera height
+STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] largest rise or fall of a ray until FAR
 BELOW = 32 * int(np.ceil((STEEPEST - EYE) / 32))
 ABOVE = 32 * int(np.ceil((STEEPEST + EYE) / 32))
 COLUMN = BELOW + ABOVE
 
-SLOPE = ((W / 2 - 0.5 - np.arange(W)) / FOCAL).astype(np.float32)  # (W,) of a column's ray
+SLOPE = ((W / 2 - 0.5 - np.arange(W)) / FOCAL).astype(np.float32)  # (W,) y / z of a column's ray
 DROP = ((np.arange(H) + 0.5 - H / 2) / FOCAL).astype(np.float32)  # (H,) fall of a row's ray per m
 EYE_TEXEL = np.float32(BELOW + EYE)  # the camera's height in a texture column
 
 
-def slab(offset, way):
-    """The depths [m] at which a ray enters and leaves the slab between two opposite faces of the
-    cube. offset: from the eye to the cube's centre [m]; way: along the ray, a metre of depth."""
-    half = np.float32(CUBE_SIZE / 2) * np.sign(way)
-    return (offset - half) / way, (offset + half) / way
+def slab(offset, direction):
+    """Returns the depths [m] at which a ray enters and leaves the slab between two opposite faces
+    of the cube. offset: from the eye to the cube's centre [m]. direction: per metre of depth."""
+    half = np.float32(CUBE_SIZE / 2) * np.sign(direction)
+    return (offset - half) / direction, (offset + half) / direction
 
 
 @dataclass
 class Faces:
-    """The faces of boxes that several cameras may see, (F,) each.
+    """The faces of boxes visible to several cameras, arrays (F,).
 
-    Where the ray of slope s meets a face, inverse depth is a straight line in s, 1/z = a + b s,
-    and so is u/z = e + f s, where u is how far along the face that is [texel].
+    A ray of slope s hits a face at inverse depth 1/z = a + b s, a straight line in s. So is
+    u/z = e + f s, where u is the position of the hit along the face [texel].
     """
     a: np.ndarray  # [1/m]
     b: np.ndarray  # [1/m]
     e: np.ndarray  # [texel/m]
     f: np.ndarray  # [texel/m]
-    texture: np.ndarray  # where the face's texture starts in the palette
+    texture: np.ndarray  # index in the palette of the face's texture
     top: np.ndarray  # [m] height of the box
 
 
 class Camera:
-    """Paints what robots see in the given scenes. Raises nothing: any pose gives an image.
+    """Paints images of the given scenes. Any pose gives an image, without errors.
 
-    Colours are looked up in one flat palette: for each material, height and brightness that occurs,
-    PERIOD texture columns of COLUMN texels, floor, wall and sky from below up; then a texture of
-    floor and sky alone; then the colours of the cube's faces. A pixel is painted by its index.
+    All colours are in one flat palette: for each combination of material, height and brightness,
+    PERIOD texture columns of COLUMN texels (floor, wall and sky, from below); then a texture with
+    only floor and sky; then the colours of the cube's faces. A pixel is a palette index.
 
-    A subclass may look otherwise: by its floor, its sky, its light and its textures.
+    A subclass can change the appearance: `floor`, `sky`, `light` and `texture`.
     """
 
     floor = FLOOR
@@ -79,28 +78,27 @@ class Camera:
     light = staticmethod(light)
 
     def texture(self, material):
-        """Returns the (PERIOD, ABOVE, 3) colours of a material, see `support.textures`."""
+        """Returns the colours (PERIOD, ABOVE, 3) of a material, see `support.textures`."""
         return texture(material, ABOVE)
 
     def __init__(self, scenes):
-        """scenes: a list of Scenes; a robot's scene is an index into it. Heights are rounded to a
-        texel."""
+        """scenes: a list of Scenes; `render` takes indices. Heights are rounded to texels."""
         most_boxes = max(len(scene.boxes) for scene in scenes)
-        shape = (len(scenes), most_boxes, 4)  # four faces a box
-        # Boxes that a room lacks have no size, and a face without size is never seen.
+        shape = (len(scenes), most_boxes, 4)  # four faces per box
+        # Rooms with fewer boxes are padded with boxes of size 0, whose faces are never visible.
         self._corners = np.zeros(shape, np.complex64)
         self._tops = np.zeros(shape, np.float32)
-        self._texture = np.zeros(shape, np.int64)  # where a face's texture starts in the palette
-        textures = {}  # (material, height [texel], brightness) -> its number
+        self._texture = np.zeros(shape, np.int64)  # index in the palette of a face's texture
+        textures = {}  # (material, height [texel], rounded brightness) -> number
         for i, scene in enumerate(scenes):
             for b, box in enumerate(scene.boxes):
                 self._corners[i, b] = box.corners @ (1, 1j)
-                # A box is higher than the eye, and stays so when its height is rounded.
+                # A box is higher than the camera. Rounding must keep it so.
                 top = min(max(round(box.height / TEXEL), int(np.ceil(EYE))), ABOVE)
                 self._tops[i, b] = top * TEXEL
                 for face in range(4):
                     normal = box.yaw + (face + 1) * np.pi / 2
-                    brightness = self.light((np.cos(normal), np.sin(normal), 0)).round(1)  # so, few
+                    brightness = self.light((np.cos(normal), np.sin(normal), 0)).round(1)
                     key = (box.material, top, float(brightness))
                     number = textures.setdefault(key, len(textures))
                     self._texture[i, b, face] = number * PERIOD * COLUMN
@@ -108,13 +106,13 @@ class Camera:
         self._palette = self._make_palette(textures)
 
     def _make_palette(self, textures):
-        """The palette: one flat array of 32-bit colours."""
+        """Returns the palette, a flat array of 32-bit colours."""
         colours = np.empty((len(textures) + 1, PERIOD, COLUMN, 3))
         colours[:, :, :BELOW] = self.floor
         colours[:, :, BELOW:] = self.sky
         for (material, top, brightness), number in textures.items():
             colours[number, :, BELOW:BELOW + top] = self.texture(material)[:, :top] * brightness
-        self._no_wall = len(textures) * PERIOD * COLUMN  # the texture of floor and sky alone
+        self._no_wall = len(textures) * PERIOD * COLUMN  # the texture of only floor and sky
         normals = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
         cube = np.array([np.multiply(BLUE, self.light(normal)) for normal in normals])
         self._cube = colours.size // 3 + np.arange(5)  # top, then faces to +x, -x, +y, -y
@@ -124,8 +122,8 @@ class Camera:
         return packed.view(np.uint32)[:, 0]
 
     def render(self, scene_of, poses, targets):
-        """Images (R, H, W, 3) uint8 RGB seen from (R, 3) poses in scenes (R,), indices, with the
-        target cubes at (R, 2) [m]."""
+        """Returns images (R, H, W, 3) uint8 RGB from poses (R, 3) in scenes (R,), given by index,
+        with target cubes at (R, 2) [m]."""
         images = np.empty((len(poses), H, W, 3), np.uint8)
         for k in range(0, len(poses), BLOCK):
             block = slice(k, k + BLOCK)
@@ -141,21 +139,21 @@ class Camera:
         self._paint_above(index, faces, inverse, face_in, depth, nearest)
         offset = (targets[:, 0] + 1j * targets[:, 1] - eye).astype(np.complex64)
         self._paint_cube(index, depth, offset, heading)
-        # All indices lie in the palette. 'wrap' is the mode of `take` that does not check them.
+        # All indices are valid. Mode 'wrap' of `take` is the one that does not check them.
         packed = self._palette.take(index, mode="wrap").view(np.uint8).reshape(-1, H, W, 4)
         for channel in range(3):
             images[..., channel] = packed[..., channel]
 
     def _visible_faces(self, scene_of, eye, heading):
-        """The faces that each camera may see: Faces (F,), face 0 being the end of sight, floor and
-        sky at FAR; and of the others the robot, and the slopes of their left and right ends."""
-        # Corners in the camera's axes. From a corner p the face goes on to the corner q.
+        """Returns the Faces (F,) that the cameras may see; face 0 is the end of sight, floor and
+        sky at FAR. For the others also returns the robot and the slopes of both ends."""
+        # Corners in the camera's axes. A face extends from corner p to corner q.
         p = (self._corners[scene_of] - eye[:, None, None]) * heading.conj()[:, None, None]
         q = p[:, :, (1, 2, 3, 0)]  # (R, B, 4)
-        cross = (p.conj() * q).imag  # negative where the outside is seen; p is left then, q right
+        cross = (p.conj() * q).imag  # negative if the outside is visible; then p is left, q right
         ahead = p.real > NEAR / 2
         slope = p.imag / np.where(ahead, p.real, 1)
-        # A corner behind the camera is out of view, on its side.
+        # A corner behind the camera is out of view on its side of the image.
         left = np.where(ahead, slope, np.inf)
         right = np.where(ahead, slope, -np.inf)[:, :, (1, 2, 3, 0)]
         visible = (cross < -1e-6) & (ahead | ahead[:, :, (1, 2, 3, 0)])
@@ -167,7 +165,8 @@ class Camera:
         # (z, s z) lies on the line through p and q where z (along_y - s along_x) = cross.
         a = along.imag / cross
         b = -along.real / cross
-        # With the unit vector along the face, over a texel's size: u = along . (z, s z) - start.
+        # `along` becomes the unit vector along the face, divided by the size of a texel. Then
+        # u = along . (z, s z) - start.
         along /= TEXEL * np.abs(along)
         start = (along.conj() * p).real  # along . p
         scene = scene_of[robot]
@@ -180,15 +179,15 @@ class Camera:
         return faces, robot, left[robot, box, side], right[robot, box, side]
 
     def _sort_by_image(self, faces, robot, left, right, R):
-        """What each of R images may show: `inverse` (R * W, K), the inverse depth of K faces in
-        each column, 0 where its ray misses one, and `face_in` (R, K), which faces these are."""
+        """Returns `inverse` (R * W, K), the inverse depth of each image's K faces in each column, 0
+        if the ray misses the face; and `face_in` (R, K), the indices of these faces."""
         a = faces.a[1:, None]
         b = faces.b[1:, None]
-        # Both ends count as seen, so that there is no gap at a corner.
+        # Both ends belong to a face, which leaves no gap at a corner.
         seen = (SLOPE <= left[:, None]) & (SLOPE >= right[:, None])
         count = np.bincount(robot, minlength=R)  # faces in each image
         first = np.cumsum(count) - count
-        place = np.arange(len(robot)) - first[robot] + 1  # of a face among those of its image
+        place = np.arange(len(robot)) - first[robot] + 1  # number of a face within its image
         inverse = np.zeros((R, W, count.max() + 1), np.float32)
         inverse[:, :, 0] = 1 / FAR
         inverse[robot, :, place] = (a + b * SLOPE) * seen
@@ -197,43 +196,43 @@ class Camera:
         return inverse.reshape(R * W, -1), face_in
 
     def _meet(self, faces, face, column):
-        """Where the rays of columns (C,) meet the faces (C,): depth [m], and where the texture
-        column that is met starts in the palette."""
+        """Returns the depths [m] at which the rays of columns (C,) hit the faces (C,), and the
+        palette indices of the texture columns that they hit."""
         slope = SLOPE[column]
         z = 1 / (faces.a[face] + faces.b[face] * slope)
         u = ((faces.e[face] + faces.f[face] * slope) * z).astype(np.int64) % PERIOD
         return z, faces.texture[face] + u * COLUMN
 
     def _paint_nearest(self, faces, inverse, face_in):
-        """First phase: every column shows its nearest face. Returns the palette index of each pixel
-        (R, H, W), and the depth [m] and the face of each column, (R, W)."""
+        """First phase: each column shows its nearest face. Returns the palette index of each pixel
+        (R, H, W), and the depth [m] and the face of each column (R, W)."""
         R = len(face_in)
         robot, column = np.divmod(np.arange(R * W), W)
         face = face_in[robot, inverse.argmax(1)]
         z, base = self._meet(faces, face, column)
-        # The ray of a row falls by DROP a metre: at depth z it is z DROP below the camera.
+        # The ray of a row falls by DROP per metre: at depth z it is z DROP below the camera.
         texel = EYE_TEXEL - DROP[:, None] * (z / TEXEL).reshape(R, 1, W)
         index = texel.astype(np.int64)
         index += base.reshape(R, 1, W)
         return index, z.reshape(R, W), face.reshape(R, W)
 
     def _paint_above(self, index, faces, inverse, face_in, depth, face):
-        """Second phase: over the top of a face shows the nearest one that is higher, and over its
-        top the nearest that is higher still. Paints over `index`, the rows above the horizon, in
-        place. Each turn is over the columns (C,) that have such a face; these become fewer."""
-        rows = np.arange(H // 2)[:, None]  # those that look up
+        """Second phase: above the top of a face the nearest higher face is visible, above that one
+        the next higher, and so on. Paints the rows above the horizon of `index` in place. Each
+        iteration handles the columns (C,) with a higher face; their number shrinks."""
+        rows = np.arange(H // 2)[:, None]  # rows above the horizon
         pixels = index.reshape(-1)
-        column = np.arange(depth.size)  # of all images; columns that are done drop out
+        column = np.arange(depth.size)  # columns of all images that are not finished
         z = depth.ravel()
         top = faces.top[face.ravel()]
-        skyline = np.float32(0)  # the drop of the ray over what is painted so far; negative is up
+        skyline = np.float32(0)  # drop of the ray over the painted faces; negative is upwards
         while True:
             skyline = np.minimum(skyline, (CAMERA_HEIGHT - top) / z)
             low = np.flatnonzero(top < self._highest)
             higher = faces.top[face_in[column[low] // W]] > top[low, None]
             inverse = np.where(higher, inverse[low], np.float32(0))
             place = inverse.argmax(1)
-            shown = np.flatnonzero(place)  # at place 0 is the end of sight: sky, painted already
+            shown = np.flatnonzero(place)  # place 0 is the end of sight: sky, already painted
             if not len(shown):
                 return
             inverse = inverse[shown]
@@ -249,25 +248,25 @@ class Camera:
             pixels[(robot * H * W + rows * W + x)[over]] = colour[over]
 
     def _paint_cube(self, index, depth, offset, heading):
-        """Paints the target cubes, (R,) `offset` from the cameras, over `index` in place.
+        """Paints the target cubes over `index` in place. offset: (R,) from the cameras.
 
-        By slabs: a ray is inside the cube while it is between both pairs of opposite faces.
+        Slab method: a ray is inside the cube while it is between both pairs of opposite faces.
         """
         ahead = offset * heading.conj()
         robots = np.flatnonzero(np.abs(ahead.imag) < SLOPE[0] * ahead.real + CUBE_SIZE)
-        way = heading[robots, None] * (1 + 1j * SLOPE)  # (R, W) a metre of depth along each ray
+        along = heading[robots, None] * (1 + 1j * SLOPE)  # (R, W) rays, per metre of depth
         tiny = np.float32(1e-6)
-        x = np.where(np.abs(way.real) < tiny, tiny, way.real)
-        y = np.where(np.abs(way.imag) < tiny, tiny, way.imag)
+        x = np.where(np.abs(along.real) < tiny, tiny, along.real)
+        y = np.where(np.abs(along.imag) < tiny, tiny, along.imag)
         enter_x, leave_x = slab(offset[robots, None].real, x)
         enter_y, leave_y = slab(offset[robots, None].imag, y)
         enter = np.maximum(enter_x, enter_y)
-        leave = np.minimum(np.minimum(leave_x, leave_y), depth[robots])  # or the wall is nearer
+        leave = np.minimum(np.minimum(leave_x, leave_y), depth[robots])  # a wall may be nearer
         robot, column = np.nonzero((enter < leave) & (leave > NEAR))
         near = np.maximum(enter[robot, column], np.float32(NEAR))[:, None]
         far = leave[robot, column][:, None]
         side = np.where(enter_x > enter_y, np.where(x < 0, 1, 2), np.where(y < 0, 3, 4))
-        to_top = np.float32(CAMERA_HEIGHT - CUBE_SIZE)  # [m] the top face is so far below the eye
+        to_top = np.float32(CAMERA_HEIGHT - CUBE_SIZE)  # [m] depth of the top face below the eye
         on_top = (DROP * far >= to_top) & (DROP * near < to_top)
         on_side = (DROP * near >= to_top) & (DROP * near < np.float32(CAMERA_HEIGHT))
         colour = np.where(on_top, 0, side[robot, column][:, None])

@@ -1,10 +1,10 @@
 """The world: rooms, and many robots that drive in them.
 
-pymunk has one task here: it tells when a robot's disc touches a wall. The motion is ours: between
-two commands a robot drives a circular arc, which is computed in closed form (`World.drive`).
+pymunk detects collisions between a robot's disc and the walls. The motion is computed here, in
+closed form: between two commands a robot drives a circular arc (`World.drive`).
 
 Frames and units: SI, ROS axes (x forward, y left, heading counter-clockwise), radians in (-pi, pi].
-A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes of a room, P points.
+A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes per room, P points.
 """
 
 import math
@@ -16,25 +16,25 @@ import pymunk
 
 ROBOT_RADIUS = 0.178  # [m] a Kobuki's disc, released model
 CAMERA_HEIGHT = 0.281  # [m] above the floor, released model
-MAX_LINEAR_VELOCITY = 0.3  # [m/s] paper III-C; the slowest is 0, the robot never reverses
-MAX_ANGULAR_VELOCITY = 1.0  # [rad/s] paper III-C, both ways
+MAX_LINEAR_VELOCITY = 0.3  # [m/s] paper III-C; the minimum is 0: the robot never reverses
+MAX_ANGULAR_VELOCITY = 1.0  # [rad/s] paper III-C, left and right
 ARRIVAL_DISTANCE = 0.177  # [m] robot centre to target, released config
-CONTROL_PERIOD = 0.4  # [s] one command, our choice
-SUBSTEPS = 4  # physics steps of one command, our choice
-CELL = 0.025  # [m] grid on which a room's reachable floor is found, our choice
-FAR_ENOUGH = 1.0  # [m] from a start drawn at random to its target, our choice
-PERTURBATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] one standard deviation, our choice
+CONTROL_PERIOD = 0.4  # [s] duration of a command, our choice
+SUBSTEPS = 4  # collision checks per command, our choice
+CELL = 0.025  # [m] cell size of the grid of reachable places, our choice
+FAR_ENOUGH = 1.0  # [m] minimum distance of a random start from its target, our choice
+PERTURBATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] standard deviations, our choice
 EVERYTHING = pymunk.ShapeFilter()  # a query meets every shape
 
 
 class SceneError(ValueError):
-    """A scene that cannot be used; the message names the file and the item."""
+    """Invalid scene. The message names the file and the item."""
 
 
 def wrap_angle(angle):
-    """Returns the same direction [rad] in (-pi, pi]."""
+    """Returns the equivalent angle [rad] in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
-    return np.where(wrapped > -np.pi, wrapped, np.pi)[()]  # rounding may have led to -pi
+    return np.where(wrapped > -np.pi, wrapped, np.pi)[()]  # rounding may give -pi
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Box:
 
     @property
     def corners(self):
-        """(4, 2) corners [m], counter-clockwise."""
+        """Corners (4, 2) [m], counter-clockwise."""
         c = math.cos(self.yaw)
         s = math.sin(self.yaw)
         own = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (self.length / 2, self.thickness / 2)
@@ -59,51 +59,51 @@ class Box:
 
 @dataclass(frozen=True)
 class Scene:
-    """A closed room: boxes, start pose, training targets, new (test-only) targets, in metres; some
-    rooms have more start poses than one, and some say what reality does there."""
+    """A closed room: boxes, start pose, training targets and new (test-only) targets, in metres.
+    Some rooms have several start poses; some describe the errors of a real robot."""
     name: str
     boxes: tuple[Box, ...]
     start: tuple[float, float, float]
     training_targets: tuple[tuple[float, float], ...]
     new_targets: tuple[tuple[float, float], ...]
     other_starts: tuple[tuple[float, float, float], ...] = ()
-    reality: object = None  # a scenes.reality.Reality; None: a simulation
+    reality: object = None  # a scenes.reality.Reality; None means no errors
 
     @cached_property
     def targets(self):
-        """(P, 2) all targets [m]: the training ones, then the new ones."""
+        """All targets (P, 2) [m]: training targets, then new ones."""
         return np.array(self.training_targets + self.new_targets)
 
     @cached_property
     def bounds(self):
-        """(2, 2) lowest and highest (x, y) [m] of any box."""
+        """Lowest and highest (x, y) of all boxes, (2, 2) [m]."""
         corners = np.concatenate([box.corners for box in self.boxes])
         return np.stack([corners.min(0), corners.max(0)])
 
     def clearance(self, points):
-        """Distance [m] from each of the (..., 2) points to the nearest box, negative inside one."""
+        """Returns the distance [m] from points (..., 2) to the nearest box, negative inside one."""
         points = np.asarray(points)
         nearest = np.full(points.shape[:-1], np.inf)
         for box in self.boxes:
             c = math.cos(box.yaw)
             s = math.sin(box.yaw)
             own = (points - (box.x, box.y)) @ np.array([(c, -s), (s, c)])  # in the box's axes
-            beyond = np.abs(own) - (box.length / 2, box.thickness / 2)  # past its faces
+            beyond = np.abs(own) - (box.length / 2, box.thickness / 2)  # distance past its faces
             outside = np.hypot(np.maximum(beyond[..., 0], 0), np.maximum(beyond[..., 1], 0))
             inside = np.minimum(beyond.max(-1), 0)
             nearest = np.minimum(nearest, outside + inside)
         return nearest
 
     def fits(self, pose):
-        """Returns whether the robot's disc fits into the room at a pose (x, y, ...)."""
+        """Returns whether the robot's disc is free of boxes at a pose (x, y, ...)."""
         low, high = self.bounds
         place = np.asarray(pose[:2])
         inside = (low < place).all() and (place < high).all()
         return bool(inside and self.clearance(place) > ROBOT_RADIUS)
 
     def mirrored(self):
-        """Returns the room as a mirror shows it, x for -x, without the new targets. The sun stays
-        where it is, so its images are the flipped images in another light."""
+        """Returns the mirror image of the room (x becomes -x), without the new targets. The sun
+        does not move, so its images are the flipped images in a different light."""
         starts = [(-x, y, math.pi - theta) for x, y, theta in (self.start, *self.other_starts)]
         return replace(
             self,
@@ -116,11 +116,10 @@ class Scene:
 
     @cached_property
     def reachable(self):
-        """Centres (P, 2) [m] of the grid cells that the robot's disc can drive to from the start,
-        sorted by x.
+        """Centres (P, 2) [m] of the grid cells reachable by the robot from its start, sorted by x.
 
-        A flood fill, so passages less than a cell wider than the robot may count as closed.
-        Raises SceneError when the flood runs out of the room.
+        Found by a flood fill: a passage less than one cell wider than the robot may count as
+        closed. Raises SceneError if the flood leaves the room.
         """
         x, y = [np.arange(low - CELL, high + 2 * CELL, CELL) for low, high in zip(*self.bounds)]
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
@@ -135,17 +134,17 @@ class Scene:
         return grid[flooded]
 
     def own_start(self, rng):
-        """The start pose (3,); where the room has several, any of them."""
+        """Returns the start pose (3,); if the room has several, draws one of them."""
         starts = (self.start, *self.other_starts)
         return starts[rng.integers(len(starts))] if self.other_starts else self.start
 
     def any_place(self, rng):
-        """A place (2,) [m] that the robot can drive to, drawn uniformly."""
+        """Draws a reachable place (2,) [m] uniformly."""
         return self.reachable[rng.integers(len(self.reachable))]
 
     def any_start(self, goal, rng):
-        """A pose (3,) at any heading, at any reachable place that is 1 m or more from a goal
-        (x, y); in a smaller room, as far as can be."""
+        """Draws a pose (3,) with any heading, at a reachable place at least 1 m from a goal (x, y);
+        in a smaller room, at the farthest place."""
         dx = self.reachable[:, 0] - goal[0]
         dy = self.reachable[:, 1] - goal[1]
         squared = dx * dx + dy * dy
@@ -154,8 +153,8 @@ class Scene:
         return np.array([x, y, rng.uniform(-np.pi, np.pi)])
 
     def near(self, place, rng):
-        """A pose (3,) or place (2,) near that one: moved by PERTURBATION, drawn again until the
-        robot can get there, and it is not nearer to a box than the robot's disc, or than before."""
+        """Perturbs a pose (3,) or place (2,) by PERTURBATION. Draws again until the robot can reach
+        it without a collision, or at least not closer to a box than before."""
         while True:
             moved = place + rng.normal(0, PERTURBATION[:len(place)])
             no_nearer = self.clearance(moved[:2]) > min(ROBOT_RADIUS, self.clearance(place[:2]))
@@ -164,8 +163,8 @@ class Scene:
 
 
 def flood(free, source):
-    """The cells of a grid that a flood from `source` fills, each through free cells beside it.
-    free, source and what is returned: (X, Y) bool."""
+    """Returns the cells that a flood fill from `source` reaches through neighbouring free cells.
+    free, source, result: (X, Y) bool."""
     flooded = np.zeros_like(free)
     front = np.flatnonzero(free & source)
     while len(front):
@@ -176,12 +175,12 @@ def flood(free, source):
 
 
 class World:
-    """R robots; robot r drives in `scenes[r]`. Robots neither touch nor see each other."""
+    """R robots; robot r drives in `scenes[r]`. Robots do not see each other or collide."""
 
     def __init__(self, scenes):
-        """scenes: R Scenes, one for each robot. Robots start at their scenes' start poses."""
+        """scenes: R Scenes, one per robot. Robots start at the start poses of their scenes."""
         self.scenes = list(scenes)
-        spaces = {}  # of each room, by identity: robots of one room share it
+        spaces = {}  # id(scene) -> its walls; robots in the same room share them
         for scene in self.scenes:
             if id(scene) not in spaces:
                 space = pymunk.Space()
@@ -193,7 +192,7 @@ class World:
         self.place(slice(None), [scene.start for scene in self.scenes])
 
     def __getstate__(self):
-        return self.scenes, self._poses  # spaces are made anew when a world is copied or unpickled
+        return self.scenes, self._poses  # a copied or unpickled world builds its own spaces
 
     def __setstate__(self, content):
         scenes, poses = content
@@ -211,32 +210,32 @@ class World:
         self._poses[robots, 2] = wrap_angle(self._poses[robots, 2])
 
     def drive(self, commands):
-        """Drives every robot for CONTROL_PERIOD; returns (R,) bool, which of them hit a wall.
+        """Drives every robot for CONTROL_PERIOD. Returns (R,) bool: True for robots that collided.
 
-        commands: (R, 2), linear [m/s] and angular [rad/s] velocity. A substep that would end in a
-        wall is not made: the robot stays where it was before it, for the rest of the period.
+        commands: (R, 2), linear [m/s] and angular [rad/s] velocity. A robot does not make a substep
+        that would end in a wall: it stops before it for the rest of the period.
         """
         v, w = np.array(commands, dtype=float).T
         dt = CONTROL_PERIOD / SUBSTEPS
-        # The arc's chord points along the heading at half time, and is sin(a) / a as long as the
-        # arc, with a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
+        # The chord of the arc points along the heading at half time. Its length is sin(a) / a times
+        # that of the arc, with a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
         chord = v * np.sinc(w * dt / (2 * np.pi))
         hit = np.zeros(len(v), dtype=bool)
         reach = ROBOT_RADIUS + np.abs(v) * CONTROL_PERIOD + 1e-6
-        near = [r for r in range(len(v)) if self._touches(r, self._poses[r], reach[r])]
+        near = [r for r in range(len(v)) if self._collides(r, self._poses[r], reach[r])]
         for _ in range(SUBSTEPS):
             middle = self._poses[:, 2] + w * dt / 2
             ahead = self._poses.copy()
             ahead[:, 0] += chord * np.cos(middle) * dt
             ahead[:, 1] += chord * np.sin(middle) * dt
             ahead[:, 2] += w * dt
-            for r in near:  # no other robot can reach a wall in this period
-                hit[r] = hit[r] or self._touches(r, ahead[r], ROBOT_RADIUS)
+            for r in near:  # the others cannot reach a wall in this period
+                hit[r] = hit[r] or self._collides(r, ahead[r], ROBOT_RADIUS)
             self._poses = np.where(hit[:, None], self._poses, ahead)
         self._poses[:, 2] = wrap_angle(self._poses[:, 2])
         return hit
 
-    def _touches(self, r, pose, radius):
-        """Returns whether a disc at a pose touches a wall of robot r's room."""
+    def _collides(self, r, pose, radius):
+        """Returns whether a disc at a pose overlaps a wall of robot r's room."""
         x, y, _ = pose.tolist()
         return self._spaces[r].point_query_nearest((x, y), radius, EVERYTHING) is not None

@@ -808,11 +808,15 @@ def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers(
 
 @pytest.mark.parametrize("fixed_budget", [False, True])
 def test_the_rule_stops_at_once_and_in_a_fixed_budget_nothing(fixed_budget, monkeypatch):
-    monkeypatch.setattr(train.Training, "meets_rule", lambda training: training.episodes > 0)
-    training = train_on(train.Config(steps=200, robots=8, fixed_budget=fixed_budget))
-    rows = training.folder.episodes
-    assert training.steps == (200 if fixed_budget else rows[0]["steps"])
-    assert (len(rows) == 1) == training.stops_by_rule() == (not fixed_budget)
+    monkeypatch.setattr(train, "WINDOW", 1)
+    monkeypatch.setattr(train, "SUCCESS_RATE", -1)  # the first test episode meets the rule
+    training = train_on(train.Config(steps=400, robots=8, fixed_budget=fixed_budget))
+    *earlier, last = [row["kind"] for row in training.folder.episodes]
+    if fixed_budget:
+        assert "new" in earlier and training.steps == 400
+    else:
+        assert "new" not in earlier and last == "new"
+        assert training.steps == training.folder.episodes[-1]["steps"]
 
 
 def test_the_deviation_is_limited_to_its_share_and_never_raised():
@@ -830,7 +834,7 @@ def test_the_rule_is_more_than_60_of_the_last_100_test_episodes(arrivals, misses
     for outcome in ["collision"] * misses + ["arrival"] * arrivals:
         training.record({"kind": "new", "outcome": outcome})
         training.record({"kind": "training", "outcome": "arrival"})  # does not count
-    assert training.meets_rule() is met
+    assert training.stops_by_rule() is met
 
 
 def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
