@@ -6,11 +6,10 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
-import robot.train
 import scenes
 from evaluation import Planned, Policy, evaluate, summarise
 from evaluation.planners import PLANNERS
@@ -55,16 +54,6 @@ def commands(run):
         if not (run.folder / f"evaluation-{name}.json").exists():
             missing.append([evaluation, str(run.folder), *words(options | {"workers": 1})])
     return [[sys.executable, "-m", *command] for command in missing]
-
-
-def check_options(run):
-    """Raises RunError if the run's folder holds a run with other options."""
-    wanted = asdict(robot.train.Config(**run.training))  # it has the options of train.py too
-    made = run.read("config.json") if (run.folder / "config.json").exists() else {}
-    for name, value in made.items():
-        if name != "out" and value != wanted.get(name):
-            raise RunError(f"'{run.folder}' was made with {name} = {value}, now it is "
-                           f"{wanted.get(name)}: move it away")
 
 
 def make_run(run):
@@ -162,8 +151,6 @@ def main(argv=None):
     stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}
     chosen = [level for level in stages if options.level in ("", level) and not options.planners]
     try:
-        for run in itertools.chain(*(stages[level] for level in chosen)):
-            check_options(run)
         for level in chosen:
             make_runs(stages[level], options.jobs)
         if "lab" in chosen:
