@@ -137,8 +137,6 @@ def main(argv=None, options_class=Options):
         parser.error("--replay takes no --hide: its page has an episode with the cube hidden")
     try:
         examined = Examination(options)
-        if scenes.remark(options.env):
-            print(scenes.remark(options.env), file=sys.stderr)
         examined.draw(examined.evaluate())
         examined.show()
     except (ValueError, OSError, ProcessLost) as error:

@@ -57,12 +57,6 @@ def load(name_or_path):
         raise SceneError(f"scene file {name!r} cannot be used: {reason}") from None
 
 
-def remark(name_or_path):
-    """Returns what a program has to add about a room, or ''."""
-    is_world = Path(name_or_path).suffix.lower() in WORLDS
-    return "start and targets: chosen, because the file has none" if is_world else ""
-
-
 def rebuild(fields):
     """Returns the Scene that `dataclasses.asdict` made a dict of, as a file of weights holds it: in
     radians, each start as (x, y, heading). Raises SceneError, KeyError or TypeError."""

@@ -147,4 +147,3 @@ def test_a_world_is_utf_8_in_a_file_with_one_of_two_suffixes(name, content, tmp_
     path = tmp_path / name
     path.write_bytes(content)
     assert scenes.load(path) == parse_world(GOOD, "room")
-    assert scenes.remark(path) and not scenes.remark("env1")

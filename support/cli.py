@@ -16,23 +16,16 @@ def option(default, text, low=-math.inf, high=math.inf, choices=(), positional=F
     return field(default=default, metadata=about)
 
 
-class Parser(argparse.ArgumentParser):
-    """An ArgumentParser that reports an error without the usage message."""
-
-    def error(self, message):
-        """Prints a message, or an exception that holds one, and exits with code 2."""
-        self.exit(2, f"error: {message}\n")
-
-
 def parse(config_class, description, argv=None):
     """Reads the command line: `--learning-rate 1e-3` sets the field `learning_rate`. Returns an
-    instance of the dataclass and the Parser, for later errors. Invalid input exits."""
+    instance of the dataclass, and the parser, whose `error(message)` ends the program."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if type(stream) is TextIOWrapper:  # not captured by a test or a notebook, nor done before
             setattr(sys, name, Output(stream.buffer, stream.encoding, "backslashreplace"))
-    parser = Parser(prog=program(), description=description, allow_abbrev=False,
-                    argument_default=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(prog=program(), description=description, allow_abbrev=False,
+                                     argument_default=argparse.SUPPRESS)
+    parser.error = lambda message: parser.exit(2, f"error: {message}\n")  # and no usage
     for item in fields(config_class):
         text = item.metadata["text"].replace("%", "%%")
         if item.type is not bool and item.default != "":

@@ -117,8 +117,6 @@ def begin_run(config, parser, environment):
     if parallel.rank() == 0:
         if not config.resume:
             make_folder(config, RANDOM if config.env == RANDOM else scenes[0].name)
-            if scene_files.remark(config.env):
-                print(scene_files.remark(config.env), file=sys.stderr)
         print(f"run folder: {config.out}", file=sys.stderr if config.json else sys.stdout)
     return config, scenes
 
