@@ -4,8 +4,8 @@ import numpy as np
 
 from evaluation.planners import ANGLES, PLANNERS, RANGE
 from navbot_min import MAX_COMMAND
+from scenes.generate import range_readings
 from support.checks import check
-from support.ranges import range_readings
 
 ACTIONS = {"sampled": "sampled", "mean": "deterministic (mean)"}  # and what they are called
 

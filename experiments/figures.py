@@ -1,7 +1,7 @@
 """The figures of the results: `python -m experiments.figures` draws all of them into pictures/.
 Tables are as `experiments.tables.read` returns them. Paths are fresh episodes of pretrained/."""
 
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -330,7 +330,7 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
 def main(argv=None, pictures=FIGURES, description="Draw the figures of the results."):
     """The command line. pictures: as FIGURES."""
     only = option("", "draw only this picture", choices=["", *pictures])
-    options, _ = parse(make_dataclass("Options", [("only", str, only)]), description, argv)
+    options, _ = parse({"only": only}, description, argv)
     for name in [options.only] if options.only else pictures:
         write_picture = write_film if name.endswith("gif") else partial(Figure.savefig, dpi=130)
         write_picture(pictures[name](), ROOT / "pictures" / name)

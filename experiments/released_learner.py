@@ -3,7 +3,7 @@ record? Each variant changes our learner towards the released one (docs/paper.md
 experiments.released_learner` trains what results/released_learner.csv lacks."""
 
 from contextlib import ExitStack
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from unittest.mock import patch
@@ -218,7 +218,7 @@ def learn(name, seed):
 
 def main(argv=None):
     """Trains the runs that RESULT lacks, and adds a row for each."""
-    parse(make_dataclass("Options", []), "Train the runs that the table lacks, two at once.", argv)
+    parse({}, "Train the runs that the table lacks, two at once.", argv)
     torch.set_num_threads(1)
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["variant"], int(row["seed"])) for row in rows}

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pandas as pd
 
@@ -23,15 +23,12 @@ from support.rooms import validation_scenes
 from support.runs import RunError, write
 from support.weights import FILE, load_model
 
-
-@dataclass
-class Options:
-    """The results to make."""
-    level: str = option("", "only this level of the paper, or the lab; by default all of them",
-                        choices=("1", "2", "3", "lab"))
-    ablations: bool = option(False, "with level 2 also make its ablations, seeds 0 to 2")
-    planners: bool = option(False, "only evaluate the planners, train nothing at any level")
-    jobs: int = option(2, "runs at a time, each on one core", 1, 64)
+OPTIONS = {
+    "level": option("", "only this level of the paper, or the lab; by default all of them",
+                    choices=("1", "2", "3", "lab")),
+    "ablations": option(False, "with level 2 also make its ablations, seeds 0 to 2"),
+    "planners": option(False, "only evaluate the planners, train nothing at any level"),
+    "jobs": option(2, "runs at a time, each on one core", 1, 64)}
 
 
 def words(options):
@@ -145,7 +142,7 @@ def write_lab_errors():
 
 def main(argv=None):
     """The command line."""
-    options, parser = parse(Options, "Make every table and figure of the results.", argv)
+    options, parser = parse(OPTIONS, "Make every table and figure of the results.", argv)
     ablations = runs.LEVEL_2_ABLATIONS if options.ablations else []
     # In this order: the runs in the lab begin with weights of levels 2 and 3.
     stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}

@@ -3,7 +3,6 @@ pretrained/any-room.safetensors policy.onnx`. It needs `robot/requirements.txt`.
 
 import logging
 import warnings
-from dataclasses import dataclass
 
 import torch
 from torch import nn
@@ -14,13 +13,10 @@ from support.cli import option, parse
 from support.runs import RunError, write
 from support.weights import load_model
 
-
-@dataclass
-class Options:
-    """An export."""
-    run: str = option("", "a run's folder, or a file of weights such as "
-                      "pretrained/any-room.safetensors", positional=True)
-    file: str = option("policy.onnx", "where it goes", positional=True)
+OPTIONS = {
+    "run": option("", "a run's folder, or a file of weights such as "
+                  "pretrained/any-room.safetensors", positional=True),
+    "file": option("policy.onnx", "where it goes", positional=True)}
 
 
 class Step(nn.Module):
@@ -63,7 +59,7 @@ def as_onnx(network):
 
 def main(argv=None):
     """The command line."""
-    options, parser = parse(Options, "Export a policy to ONNX.", argv)
+    options, parser = parse(OPTIONS, "Export a policy to ONNX.", argv)
     try:
         network, _ = load_model(options.run)
         write(options.file, as_onnx(network))

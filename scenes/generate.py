@@ -179,6 +179,21 @@ def first_hit(boxes, begin, way):
     return np.where(enters < leaves, enters, np.inf).min(-1)
 
 
+def range_readings(world, angles, max_range):
+    """Returns the distances (R, S) [m] from the centre of each of R robots of a `sim.World` to the
+    first wall, at most max_range [m], along rays at S angles (S,) [rad] from its heading."""
+    headings = world.poses[:, 2:] + np.asarray(angles)  # (R, S)
+    ways = np.stack([np.cos(headings), np.sin(headings)], -1)  # (R, S, 2)
+    places = world.poses[:, None, :2]
+    met = np.empty(headings.shape)
+    rooms = np.array([id(scene) for scene in world.scenes])
+    for room in set(rooms):
+        robots = np.flatnonzero(rooms == room)
+        boxes = world.scenes[robots[0]].boxes
+        met[robots] = first_hit(boxes, places[robots], ways[robots])
+    return np.minimum(met, max_range)
+
+
 def share_blocked(scene):
     """Returns the fraction, in [0, 1], of straight lines between two reachable places 1 m or more
     apart that a box blocks: how much there is to drive around."""
