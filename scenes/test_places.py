@@ -9,7 +9,7 @@ import pytest
 import scenes
 from scenes.generate import room as random_room
 from scenes.places import APART, GRID, MARGIN, complete
-from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS, Box, SceneError
+from sim import ROBOT_RADIUS, Box, SceneError
 
 
 def outline(*corners, thickness=0.1):
@@ -53,7 +53,7 @@ def test_the_start_is_the_freest_place(name):
 @each_room
 def test_targets_are_reachable_and_apart(boxes):
     scene = complete("room", boxes)
-    away = scenes.distance_to_reachable(scene, scene.targets, ARRIVAL_DISTANCE)
+    away = scenes.distance_to_nearest(scene.targets, scene.reachable)
     assert (away < 0.001).all()  # targets are rounded to a millimetre
     places = np.vstack([scene.start[:2], scene.targets])
     between = np.hypot(*(places[:, None] - places).T) + 9 * np.eye(len(places))
