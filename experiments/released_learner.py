@@ -5,7 +5,6 @@ experiments.released_learner` trains what results/released_learner.csv lacks."""
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -15,6 +14,7 @@ import ppo
 import scenes
 import train
 from evaluation import Policy, evaluate
+from experiments.tables import RESULTS
 from model import HIDDEN, Network, orthogonal
 from navbot_min import LOWEST_ACTION, NavVecEnv
 from ppo import Collector
@@ -23,7 +23,7 @@ from support.parallel import in_processes
 from support.runs import read_table, write
 from train import WINDOW, Config, Training
 
-RESULT = Path(__file__).parent.parent / "results" / "released_learner.csv"
+RESULT = RESULTS / "released_learner.csv"
 STEPS = 270_000  # about as many as the released record of env1 has
 SEEDS = (0, 1, 2)
 CLIP = 1.2  # of the released update: the largest ratio, and the inverse of the smallest

@@ -51,7 +51,6 @@ class Table:
 
     def size(self):
         """Returns the bytes of the file, when all of them are on disk."""
-        self.file.flush()
         os.fsync(self.file.fileno())
         return self.file.tell()
 
@@ -212,7 +211,4 @@ def check_config(config, parser):
         if name in parser.given and getattr(config, other) != needed:
             parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it has an effect "
                          f"only with --{other} {needed}: leave it out")
-    if config.minibatches > config.episodes_per_update:
-        parser.error(f"--minibatches is {config.minibatches}, it must be at most "
-                     f"{config.episodes_per_update}, the episodes of an update")
     parallel.check_processes(config, parser)
