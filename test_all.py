@@ -30,7 +30,6 @@ import scenes
 import sim
 import train
 from scenes.test_scenes import box, square_room
-from support.weights import load_model
 
 ROOT = Path(__file__).parent
 ENV1 = scenes.load("env1")
@@ -723,9 +722,6 @@ def test_the_same_seed_writes_the_same_episodes_and_weights_byte_for_byte(runs):
     first, second = sorted(runs[0].iterdir())
     for name in ("episodes.csv", "model.safetensors"):
         assert (first / name).read_bytes() == (second / name).read_bytes()
-    learned, rooms = load_model(first)
-    assert rooms == [ENV1]
-    assert not torch.equal(learned.value_head.weight, network().value_head.weight)
 
 
 class Rows:

@@ -1,9 +1,6 @@
 """A policy as a file for a robot that has no torch: `python -m robot.export
 pretrained/any-room.safetensors policy.onnx`. It needs `robot/requirements.txt`."""
 
-import logging
-import warnings
-
 import torch
 from torch import nn
 
@@ -49,11 +46,8 @@ def as_onnx(network):
     """
     zeros = (torch.zeros(H, W, 3, dtype=torch.uint8), torch.zeros(2), torch.zeros(2),
              torch.zeros(1), network.initial_state(1)[0])
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the exporter's own
-        program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
-                                    output_names=("action", "next_memory"))
+    program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
+                                output_names=("action", "next_memory"))
     return program.model_proto.SerializeToString()
 
 
