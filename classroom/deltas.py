@@ -1,7 +1,6 @@
 """Measures what single lines of the learner are good for: `python -m classroom.deltas`. Three seeds
 of each delta train in env1. A run that results/deltas.csv has is not made again."""
 
-from dataclasses import make_dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -86,7 +85,7 @@ def draw(rows, name):
 
 def main(argv=None):
     """Trains the runs that RESULT lacks, and draws all of them."""
-    parse(make_dataclass("Options", []), "Train variants of the lesson and draw them.", argv)
+    parse({}, "Train variants of the lesson and draw them.", argv)
     torch.set_num_threads(1)
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["delta"], row["seed"]) for row in rows}

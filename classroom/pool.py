@@ -2,7 +2,6 @@
 holds the drives.csv of each person, under any name. The same room and seed give the same tasks."""
 
 import csv
-from dataclasses import make_dataclass
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -44,8 +43,7 @@ def read_drives(folder):
 def main(argv=None):
     """Prints the table of a class's drives and draws drives.png, success and SPL of each person."""
     folder = option("drives", "with the drives.csv of each, under any name", positional=True)
-    options, parser = parse(make_dataclass("Options", [("folder", str, folder)]),
-                            "Draw the drives of a class into drives.png.", argv)
+    options, parser = parse({"folder": folder}, "Draw the drives of a class into drives.png.", argv)
     try:
         drivers = read_drives(options.folder)
         tries = next(iter(drivers.values()))  # all have the same tasks

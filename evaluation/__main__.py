@@ -34,16 +34,15 @@ class Options:
     replay: bool = option(False, "also write replay.html: episodes and the network's activity")
     json: bool = option(False, "print only the evaluation, as JSON")
 
-
-def in_simulation(scenes, options):
-    """Returns the class of environment to drive in, and the addition to the files' names."""
-    return NavVecEnv, ""
+    def environment(self, scenes):
+        """Returns the class of environment to drive in, and what the files' names say of it."""
+        return NavVecEnv, ""
 
 
 class Examination:
     """The driver, the rooms and the files of one evaluation. Raises RunError, SceneError."""
 
-    def __init__(self, options, choose_environment):
+    def __init__(self, options):
         self.options = options
         config = Path(options.run, "config.json")
         run = json.loads(config.read_text()) if options.run and config.exists() else {}
@@ -66,7 +65,7 @@ class Examination:
             self.driver = Policy(model, self.actions, options.seed)
         if options.env:
             self.scenes = [scenes.load(options.env)]
-        self.environment, suffix = choose_environment(self.scenes, options)
+        self.environment, suffix = options.environment(self.scenes)
         self.environment.check_rooms(self.scenes)
         if options.hide:
             suffix = f"-hidden-{options.hide}{suffix}"
@@ -127,7 +126,7 @@ class Examination:
             print(f"watch it: {self.path('replay.html')}", file=sys.stderr)
 
 
-def main(argv=None, options_class=Options, choose_environment=in_simulation):
+def main(argv=None, options_class=Options):
     """The command line."""
     options, parser = parse(options_class, "Evaluate a policy or a planner.", argv)
     if bool(options.run) == bool(options.planner):
@@ -137,9 +136,7 @@ def main(argv=None, options_class=Options, choose_environment=in_simulation):
     if options.hide and options.replay:
         parser.error("--replay takes no --hide: its page has an episode with the cube hidden")
     try:
-        examined = Examination(options, choose_environment)
-        if scenes.remark(options.env):
-            print(scenes.remark(options.env), file=sys.stderr)
+        examined = Examination(options)
         examined.draw(examined.evaluate())
         examined.show()
     except (ValueError, OSError, ProcessLost) as error:

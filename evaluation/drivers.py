@@ -4,8 +4,7 @@ import numpy as np
 
 from evaluation.planners import ANGLES, PLANNERS, RANGE
 from navbot_min import MAX_COMMAND
-from support.checks import check
-from support.ranges import range_readings
+from scenes.generate import range_readings
 
 ACTIONS = {"sampled": "sampled", "mean": "deterministic (mean)"}  # and what they are called
 
@@ -14,9 +13,8 @@ class Policy:
     """Drives with a network, by `sampled` or by deterministic (`mean`) actions."""
 
     def __init__(self, model, actions, seed):
-        """model: has the `act` and `initial_state` of a `model.Network`. Raises ValueError."""
+        """model: has the `act` and `initial_state` of a `model.Network`. Raises KeyError."""
         import torch  # here, because planners and measures do without it
-        check(actions in ACTIONS, f"actions is {actions!r}, it must be one of sampled, mean")
         self.label = f"policy, {ACTIONS[actions]} actions"
         self.model = model
         self.actions = actions

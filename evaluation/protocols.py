@@ -8,8 +8,8 @@ import numpy as np
 
 from navbot_min import NavVecEnv, level_1, level_2, level_3
 from render import CUBE_SIZE
-from scenes import distance_to_reachable
-from sim import CELL, Scene, SceneError
+from scenes import distance_to_nearest
+from sim import Scene, SceneError
 
 PROTOCOLS = {"start": level_2, "perturbed": level_1, "anywhere": level_3, "validation": level_2}
 EPISODES_PER_ROBOT = 16  # at most. More robots wait longer for the last one
@@ -39,19 +39,13 @@ def validation_scene(scene):
     reach, TEST_DISTANCE or more from the start and new targets. Raises SceneError without any."""
     columns, rows = (np.ptp(scene.bounds, axis=0) / PATCH).astype(int)
     grid = scene.bounds[0] + PATCH * np.argwhere(np.ones((columns, rows)))  # (P, 2)
-    reachable = distance_to_reachable(scene, grid, CELL) < 0.02
+    reachable = distance_to_nearest(grid, scene.reachable) < 0.02
     untrained = distance_to_nearest(grid, scene.training_targets) >= CUBE_SIZE
     apart = distance_to_nearest(grid, [scene.start[:2], *scene.new_targets]) >= TEST_DISTANCE
     places = grid[reachable & untrained & apart].tolist()
     if not places:
         raise SceneError(f"{scene.name} has no room for validation targets")
     return replace(scene, new_targets=tuple(map(tuple, places)))
-
-
-def distance_to_nearest(points, others):
-    """Returns the distance [m] from each of the points (P, 2) to the nearest of others (n, 2)."""
-    apart = points[:, None] - np.array(others)
-    return np.hypot(apart[..., 0], apart[..., 1]).min(1)
 
 
 def protocol_scenes(protocol, scenes):

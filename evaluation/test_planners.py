@@ -9,9 +9,9 @@ import pytest
 import scenes
 from evaluation import Planned, assign, evaluate, rollouts
 from evaluation.planners import ANGLES, PRM, RANGE, DStar, visibility_graph
+from scenes.generate import range_readings
 from scenes.test_scenes import box, square_room
 from sim import ROBOT_RADIUS, World
-from support.ranges import range_readings
 
 ENV1 = scenes.load("env1")
 ENV2 = scenes.load("env2")

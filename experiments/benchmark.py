@@ -5,7 +5,6 @@ import json
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from timeit import Timer
@@ -29,14 +28,10 @@ from support.runs import write
 from train import Config
 
 SHORT = ("--fixed-budget", "--evaluation-episodes", "1", "--steps", "18000")  # six updates or so
-
-
-@dataclass
-class Options:
-    """The command line."""
-    peers: bool = option(False, "time other people's learners too, those that are installed")
-    out: str = option("benchmark.json", "file for the numbers; the plot goes beside it, as .png")
-    json: bool = option(False, "print the numbers as JSON, not where they are")
+OPTIONS = {
+    "peers": option(False, "time other people's learners too, those that are installed"),
+    "out": option("benchmark.json", "file for the numbers; the plot goes beside it, as .png"),
+    "json": option(False, "print the numbers as JSON, not where they are")}
 
 
 def rate(call, count):
@@ -179,7 +174,7 @@ def measure_programs():
 
 def main(argv=None):
     """The command line."""
-    options, _ = parse(Options, "Measure how fast each stage is.", argv)
+    options, _ = parse(OPTIONS, "Measure how fast each stage is.", argv)
     path = Path(options.out)
     path.parent.mkdir(parents=True, exist_ok=True)
     cores = min(available_cores(), MOST_WORKERS)

@@ -1,7 +1,7 @@
 """The figures of the results: `python -m experiments.figures` draws all of them into pictures/.
 Tables are as `experiments.tables.read` returns them. Paths are fresh episodes of pretrained/."""
 
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,9 +24,9 @@ from scenes.reality import parse_reality
 from sim import Scene
 from support.cli import option, parse
 from support.film import write_film
-from support.pictures import (PALETTE, SPACING, WIDTH, WINDOW, draw_floor, draw_path, draw_robot,
-                              draw_room, draw_target, draw_trajectories, floor_handles,
-                              legend_below, paint_floor, released_curve, start_handle)
+from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, draw_floor,
+                              draw_path, draw_robot, draw_room, draw_target, draw_trajectories,
+                              legend_below, paint_floor, released_curve, target_handles)
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
@@ -113,7 +113,7 @@ def draw_floors(floor, rooms):
             draw_robot(axes, scene.start)
             axes.set_title(f"{scene.name}: {name}", fontsize=10)
     figure.colorbar(mesh, ax=panels, shrink=0.7, label="episodes that arrive, all seeds [%]")
-    legend_below(figure, [start_handle(), *floor_handles(rooms[0])], ncols=5)
+    legend_below(figure, [START, *target_handles(rooms[0]), TOO_FEW], ncols=5)
     return figure
 
 
@@ -330,7 +330,7 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
 def main(argv=None, pictures=FIGURES, description="Draw the figures of the results."):
     """The command line. pictures: as FIGURES."""
     only = option("", "draw only this picture", choices=["", *pictures])
-    options, _ = parse(make_dataclass("Options", [("only", str, only)]), description, argv)
+    options, _ = parse({"only": only}, description, argv)
     for name in [options.only] if options.only else pictures:
         write_picture = write_film if name.endswith("gif") else partial(Figure.savefig, dpi=130)
         write_picture(pictures[name](), ROOT / "pictures" / name)

@@ -3,9 +3,8 @@ record? Each variant changes our learner towards the released one (docs/paper.md
 experiments.released_learner` trains what results/released_learner.csv lacks."""
 
 from contextlib import ExitStack
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -15,6 +14,7 @@ import ppo
 import scenes
 import train
 from evaluation import Policy, evaluate
+from experiments.tables import RESULTS
 from model import HIDDEN, Network, orthogonal
 from navbot_min import LOWEST_ACTION, NavVecEnv
 from ppo import Collector
@@ -23,7 +23,7 @@ from support.parallel import in_processes
 from support.runs import read_table, write
 from train import WINDOW, Config, Training
 
-RESULT = Path(__file__).parent.parent / "results" / "released_learner.csv"
+RESULT = RESULTS / "released_learner.csv"
 STEPS = 270_000  # about as many as the released record of env1 has
 SEEDS = (0, 1, 2)
 CLIP = 1.2  # of the released update: the largest ratio, and the inverse of the smallest
@@ -218,7 +218,7 @@ def learn(name, seed):
 
 def main(argv=None):
     """Trains the runs that RESULT lacks, and adds a row for each."""
-    parse(make_dataclass("Options", []), "Train the runs that the table lacks, two at once.", argv)
+    parse({}, "Train the runs that the table lacks, two at once.", argv)
     torch.set_num_threads(1)
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["variant"], int(row["seed"])) for row in rows}

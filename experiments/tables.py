@@ -4,7 +4,6 @@ between `<!-- table: NAME -->` with a header, and `<!-- end -->`, become those o
 import json
 import re
 import tomllib
-from dataclasses import make_dataclass
 from functools import partial
 from pathlib import Path
 
@@ -215,7 +214,7 @@ def pages():
 
 def main(argv=None):
     """Fills every page."""
-    _, parser = parse(make_dataclass("Options", []), "Makes the tables of the pages.", argv)
+    _, parser = parse({}, "Makes the tables of the pages.", argv)
     try:
         for page in pages():
             write(page, fill(page.read_text(encoding="utf-8")))

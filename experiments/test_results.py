@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
@@ -76,8 +75,7 @@ def test_the_programs_accept_every_command_and_write_the_files_that_rows_are_rea
             for name, (_, _, program, *arguments) in zip(run.evaluations, commands, strict=True):
                 module = {"evaluation": examination, "robot.evaluate": robot.evaluate}[program]
                 options, parser = parse(module.Options, "", arguments)
-                choose = getattr(module, "choose_environment", examination.in_simulation)
-                prepared = examination.Examination(options, choose)
+                prepared = examination.Examination(options)
                 assert (prepared.folder, prepared.suffix) == (run.folder, f"-{name}")
     folders = {run.folder.name for run in EVERY}
     assert len(folders) == len(EVERY) == 10 + 20 + 36 + 36 + 26
@@ -145,21 +143,6 @@ def test_planners_and_knobs_are_measured_in_their_rooms(folder, monkeypatch):
         changed = {name for name, value in vars(room.reality).items()
                    if value != getattr(Reality(), name)}
         assert room == scenes.load("lab") if error == "all" else changed == {error} - {"none"}
-
-
-def test_a_run_with_other_options_is_refused_before_anything_is_trained(folder, capsys):
-    run = LEVEL_3[-1]
-    run.folder.mkdir(parents=True)
-    made = asdict(train.Config(**run.training)) | {"out": "elsewhere"}
-    (run.folder / "config.json").write_text(json.dumps(made))
-    results.check_options(run)
-    made["robots"] = 32  # not among the run's own options
-    (run.folder / "config.json").write_text(json.dumps(made))
-    with pytest.raises(SystemExit, match="2"):
-        results.main(["--level", "3"])
-    said = capsys.readouterr().err
-    assert said.endswith("seed2' was made with robots = 32, now it is 64: move it away\n")
-    assert not (runs.RUNS / f"{LEVEL_3[0].folder.name}.log").exists()
 
 
 def test_a_run_that_fails_is_one_sentence_and_ends_the_others(folder, monkeypatch):

@@ -13,15 +13,13 @@ class Options(evaluation.Options):
     """An evaluation with a robot's errors."""
     ring: bool = option(False, "ultrasonic sensors stop the robot")
 
-
-def choose_environment(scenes, options):
-    """Returns the class of environment to drive in, and what a file's name says of it."""
-    return environment_of(scenes, options.ring), "-ring" if options.ring else ""
+    def environment(self, scenes):
+        return environment_of(scenes, self.ring), "-ring" if self.ring else ""
 
 
 def main(argv=None):
     """The command line."""
-    evaluation.main(argv, Options, choose_environment)
+    evaluation.main(argv, Options)
 
 
 if __name__ == "__main__":

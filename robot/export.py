@@ -1,10 +1,6 @@
 """A policy as a file for a robot that has no torch: `python -m robot.export
 pretrained/any-room.safetensors policy.onnx`. It needs `robot/requirements.txt`."""
 
-import logging
-import warnings
-from dataclasses import dataclass
-
 import torch
 from torch import nn
 
@@ -14,13 +10,10 @@ from support.cli import option, parse
 from support.runs import RunError, write
 from support.weights import load_model
 
-
-@dataclass
-class Options:
-    """An export."""
-    run: str = option("", "a run's folder, or a file of weights such as "
-                      "pretrained/any-room.safetensors", positional=True)
-    file: str = option("policy.onnx", "where it goes", positional=True)
+OPTIONS = {
+    "run": option("", "a run's folder, or a file of weights such as "
+                  "pretrained/any-room.safetensors", positional=True),
+    "file": option("policy.onnx", "where it goes", positional=True)}
 
 
 class Step(nn.Module):
@@ -53,17 +46,14 @@ def as_onnx(network):
     """
     zeros = (torch.zeros(H, W, 3, dtype=torch.uint8), torch.zeros(2), torch.zeros(2),
              torch.zeros(1), network.initial_state(1)[0])
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the exporter's own
-        program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
-                                    output_names=("action", "next_memory"))
+    program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
+                                output_names=("action", "next_memory"))
     return program.model_proto.SerializeToString()
 
 
 def main(argv=None):
     """The command line."""
-    options, parser = parse(Options, "Export a policy to ONNX.", argv)
+    options, parser = parse(OPTIONS, "Export a policy to ONNX.", argv)
     try:
         network, _ = load_model(options.run)
         write(options.file, as_onnx(network))

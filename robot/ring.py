@@ -4,8 +4,8 @@ refused, turning is not. Axis letters: R robots, S sensors, P places on a way.""
 
 import numpy as np
 
+from scenes.generate import range_readings
 from sim import CONTROL_PERIOD, ROBOT_RADIUS
-from support.ranges import range_readings
 
 SENSORS = 24  # evenly around the robot, the first ahead; all numbers are our choice
 ANGLES = np.arange(SENSORS) * 2 * np.pi / SENSORS  # [rad] counter-clockwise from ahead

@@ -57,12 +57,6 @@ def load(name_or_path):
         raise SceneError(f"scene file {name!r} cannot be used: {reason}") from None
 
 
-def remark(name_or_path):
-    """Returns what a program has to add about a room, or ''."""
-    is_world = Path(name_or_path).suffix.lower() in WORLDS
-    return "start and targets: chosen, because the file has none" if is_world else ""
-
-
 def rebuild(fields):
     """Returns the Scene that `dataclasses.asdict` made a dict of, as a file of weights holds it: in
     radians, each start as (x, y, heading). Raises SceneError, KeyError or TypeError."""
@@ -96,7 +90,7 @@ def parse(table, name, in_degrees=True):
               f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
     for kind in ("training_targets", "new_targets"):
         for k, target in enumerate(getattr(scene, kind)):
-            [away] = distance_to_reachable(scene, [target], ARRIVAL_DISTANCE)
+            [away] = distance_to_nearest([target], scene.reachable)
             check(away < ARRIVAL_DISTANCE, f"{kind}[{k}] {target} cannot be reached from the start")
     for target in scene.new_targets:
         check(target not in scene.training_targets, f"{target} is a training target and a new one")
@@ -167,15 +161,9 @@ def check_width(scene):
           f"the boxes are spread over {widest:.1f} m, it must be at most {WIDEST} m")
 
 
-def distance_to_reachable(scene, points, most):
-    """Returns the distance [m] from each of the points (P, 2) to the nearest place that the robot
-    can drive to, (P,); infinity if it is clearly more than `most`."""
-    reachable = scene.reachable  # sorted by x
-    nearest = []
-    for x, y in points:
-        first, last = np.searchsorted(reachable[:, 0], (x - most, x + most))
-        nearest.append(np.hypot(*(reachable[first:last] - (x, y)).T).min(initial=np.inf))
-    return np.array(nearest)
+def distance_to_nearest(points, others):
+    """Returns the distance [m] from each of the points (P, 2) to the nearest of others (n, 2)."""
+    return np.array([np.hypot(*np.subtract(others, point).T).min() for point in points])
 
 
 def check(valid, message):

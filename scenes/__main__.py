@@ -1,23 +1,15 @@
 """Draws a room from above and through the robot's camera, or reports what is wrong with it:
 `python -m scenes env1` makes env1.png in the working folder."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from render import Camera
-from scenes import load, remark
+from scenes import WORLDS, load
 from scenes.generate import share_blocked
 from sim import CELL, SceneError
 from support.cli import option, parse
 from support.pictures import draw_map, draw_robot, draw_target
-
-
-@dataclass
-class Config:
-    """The command line is made from this field."""
-    scene: str = option("env1", "a room's name, its file, or random:7", positional=True)
 
 
 def facts(scene):
@@ -51,13 +43,16 @@ def draw(scene):
 
 def main(argv=None):
     """Reads a room, draws it and prints facts about it."""
-    config, parser = parse(Config, "Draws a room, or reports what is wrong with it.", argv)
+    room = option("env1", "a room's name, its file, or random:7", positional=True)
+    options, parser = parse({"scene": room}, "Draw a room, or report what is wrong with it.", argv)
     try:
-        scene = load(config.scene)
+        scene = load(options.scene)
         draw(scene).savefig(f"{scene.name}.png", dpi=110, bbox_inches="tight")
     except (SceneError, OSError) as error:
         parser.error(error)
-    print(f"{scene.name}.png", facts(scene), *filter(None, [remark(config.scene)]), sep="\n")
+    print(f"{scene.name}.png", facts(scene), sep="\n")
+    if options.scene.lower().endswith(WORLDS):
+        print("start and targets: chosen, because the file has none")
 
 
 if __name__ == "__main__":

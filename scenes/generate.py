@@ -1,6 +1,6 @@
 """Random rooms: `random:SEED` names one, and the same seed always makes the same room. It has the
 size, boxes, passages and blocked lines of sight of the released rooms, so it is as difficult.
-Axis letters: X, Y cells of a grid, L lines, B boxes."""
+Axis letters: X, Y cells of a grid, L lines, B boxes, R robots, S sensors."""
 
 import functools
 import math
@@ -177,6 +177,20 @@ def first_hit(boxes, begin, way):
         enters = np.maximum(enters, np.minimum(one, other))
         leaves = np.minimum(leaves, np.maximum(one, other))
     return np.where(enters < leaves, enters, np.inf).min(-1)
+
+
+def range_readings(world, angles, max_range):
+    """Returns the distances (R, S) [m] from the centre of each of R robots of a `sim.World` to the
+    first wall, at most max_range [m], along rays at angles (S,) [rad] from its heading."""
+    headings = world.poses[:, 2:] + np.asarray(angles)  # (R, S)
+    ways = np.stack([np.cos(headings), np.sin(headings)], -1)  # (R, S, 2)
+    met = np.empty(headings.shape)
+    rooms = np.array([id(scene) for scene in world.scenes])
+    for room in set(rooms):
+        robots = np.flatnonzero(rooms == room)
+        boxes = world.scenes[robots[0]].boxes
+        met[robots] = first_hit(boxes, world.poses[robots, None, :2], ways[robots])
+    return np.minimum(met, max_range)
 
 
 def share_blocked(scene):

@@ -1,6 +1,6 @@
 """Chooses a start and targets for a room whose file has none. Of equally good places the first one
 counts, by x, then by y. Distances are rounded to a micrometre before they are compared, so that all
-machines choose the same. Axis letters: X, Y cells of a grid, P points."""
+machines choose the same. Axis letters: X, Y cells of a grid."""
 
 from dataclasses import replace
 
@@ -12,7 +12,6 @@ GRID = 0.05  # [m] on which the start is searched for
 MARGIN = 0.1  # [m] between the robot's disc at a target and any box; the paper's rooms: 0.1
 APART = 0.2  # [m] between targets at least, and from the start: farther than an arrival
 TIE = 1e-6  # [m] below which distances count as equal
-SAMPLE = 5000  # places for a first guess of the largest clearance
 TRAINING_TARGETS = 10  # as in env2
 NEW_TARGETS = 2
 
@@ -34,15 +33,12 @@ def freest_place(scene):
     """Returns the pose, heading along x, at the inner place that is farthest from all boxes."""
     x, y = [np.arange(low - GRID, high + 2 * GRID, GRID) for low, high in zip(*scene.bounds)]
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
-    free = are_clear(scene, grid.reshape(-1, 2), ROBOT_RADIUS).reshape(grid.shape[:2])
+    free = are_clear(scene, grid, ROBOT_RADIUS)
     border = np.ones_like(free)
     border[1:-1, 1:-1] = False
     inside = grid[free & ~flood(free, border)]
     if not len(inside):
         raise SceneError("the boxes do not enclose a place that the robot fits into")
-    # In a large room the clearance of all places takes long, and most are ruled out by a few.
-    least = scene.clearance(inside[::len(inside) // SAMPLE + 1]).max()
-    inside = inside[are_clear(scene, inside, least - 2 * TIE)]
     x, y = inside[(scene.clearance(inside) / TIE).round().argmax()]
     return float(x), float(y), 0.0
 
@@ -67,13 +63,11 @@ def spread(scene, most):
 
 
 def are_clear(scene, points, distance):
-    """Returns which of the points (P, 2) [m], sorted by x, are farther than a distance [m] from all
-    boxes, (P,) bool: like `Scene.clearance`, but it looks only near each box."""
-    clear = np.ones(len(points), bool)
+    """Returns which of the points (..., 2) [m] are farther than a distance [m] from all boxes,
+    (...) bool: like `Scene.clearance`, but it looks only near each box."""
+    clear = np.ones(points.shape[:-1], bool)
     for box in scene.boxes:
         reach = np.ptp(box.corners, axis=0) / 2 + distance + TIE
-        first, last = np.searchsorted(points[:, 0], (box.x - reach[0], box.x + reach[0]))
-        beside = np.abs(points[first:last, 1] - box.y) < reach[1]
-        near = first + np.flatnonzero(clear[first:last] & beside)
-        clear[near] = replace(scene, boxes=(box,)).clearance(points[near]) > distance
+        near = (np.abs(points - (box.x, box.y)) < reach).all(-1)
+        clear[near] &= replace(scene, boxes=(box,)).clearance(points[near]) > distance
     return clear

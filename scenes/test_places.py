@@ -9,7 +9,7 @@ import pytest
 import scenes
 from scenes.generate import room as random_room
 from scenes.places import APART, GRID, MARGIN, complete
-from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS, Box, SceneError
+from sim import ROBOT_RADIUS, Box, SceneError
 
 
 def outline(*corners, thickness=0.1):
@@ -41,9 +41,8 @@ each_room = pytest.mark.parametrize("boxes", ROOMS.values(), ids=ROOMS)
 
 
 @pytest.mark.parametrize("name", sorted(ROOMS.keys() - {"L", "triangle"}))
-def test_the_start_is_the_freest_place(name, monkeypatch):
+def test_the_start_is_the_freest_place(name):
     """No place of a grid in these rectangular rooms is farther from the boxes."""
-    monkeypatch.setattr(scenes.places, "SAMPLE", 20)  # as in the largest rooms
     scene = complete("room", ROOMS[name])
     x, y = [np.arange(low, high, GRID) for low, high in zip(*scene.bounds)]
     farthest = scene.clearance(np.stack(np.meshgrid(x, y), -1)).max()
@@ -54,7 +53,7 @@ def test_the_start_is_the_freest_place(name, monkeypatch):
 @each_room
 def test_targets_are_reachable_and_apart(boxes):
     scene = complete("room", boxes)
-    away = scenes.distance_to_reachable(scene, scene.targets, ARRIVAL_DISTANCE)
+    away = scenes.distance_to_nearest(scene.targets, scene.reachable)
     assert (away < 0.001).all()  # targets are rounded to a millimetre
     places = np.vstack([scene.start[:2], scene.targets])
     between = np.hypot(*(places[:, None] - places).T) + 9 * np.eye(len(places))

@@ -123,8 +123,6 @@ def test_a_link_may_have_several_collisions_each_with_its_place_and_material():
     (GOOD, "<sdf><world/></sdf>", "no link has a box that stands on the floor"),
     ("<light", "<include><uri>model://table</uri></include><light", "it includes 'model://table'"),
     ("<model name='room'>", "<model name='room'><model/>", "it has model/model, it must hold only"),
-    ("<normal>0 0 1<", "<normal>1 0 0<", "'ground_plane' is a plane with the normal (1.0, 0.0, 0"),
-    ("</world>", model(links_of(SQUARE)) + "</world>", "two models have the same name"),
     ("</world>", model(links_of(SQUARE * 31), name="b") + "</world>", "it has 129 boxes, it must"),
     ("</world>", "<state><model name='room'><scale>2 1 1</scale></model></state></world>",
      "model 'room' has the scale (2.0, 1.0, 1.0), it must be 1 1 1"),
@@ -147,4 +145,3 @@ def test_a_world_is_utf_8_in_a_file_with_one_of_two_suffixes(name, content, tmp_
     path = tmp_path / name
     path.write_bytes(content)
     assert scenes.load(path) == parse_world(GOOD, "room")
-    assert scenes.remark(path) and not scenes.remark("env1")

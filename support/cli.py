@@ -4,35 +4,32 @@ import argparse
 import math
 import os
 import sys
-from dataclasses import field, fields
+from dataclasses import field, fields, make_dataclass
 from functools import partial
 from io import TextIOWrapper
 
 
 def option(default, text, low=-math.inf, high=math.inf, choices=(), positional=False):
-    """A dataclass field that is a command line option: its help text and its valid values. A
-    number's range includes both ends. positional: it is given without a flag."""
+    """A command line option, for `parse`: its default, help text and valid values. A number's range
+    includes both ends. positional: it is given without a flag."""
     about = dict(text=text, low=low, high=high, choices=choices, positional=positional)
     return field(default=default, metadata=about)
 
 
-class Parser(argparse.ArgumentParser):
-    """An ArgumentParser that reports an error without the usage message."""
-
-    def error(self, message):
-        """Prints a message, or an exception that holds one, and exits with code 2."""
-        self.exit(2, f"error: {message}\n")
-
-
 def parse(config_class, description, argv=None):
-    """Reads the command line: `--learning-rate 1e-3` sets the field `learning_rate`. Returns an
-    instance of the dataclass and the Parser, for later errors. Invalid input exits."""
+    """Reads the command line: `--learning-rate 1e-3` sets the field `learning_rate`. config_class:
+    a dataclass whose fields are options, or a dict of options by their names. Returns an instance
+    of the dataclass, and the parser for later errors. Invalid input exits."""
+    if isinstance(config_class, dict):
+        config_class = make_dataclass("Options", [(name, type(item.default), item)
+                                                  for name, item in config_class.items()])
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if type(stream) is TextIOWrapper:  # not captured by a test or a notebook, nor done before
             setattr(sys, name, Output(stream.buffer, stream.encoding, "backslashreplace"))
-    parser = Parser(prog=program(), description=description, allow_abbrev=False,
-                    argument_default=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(prog=program(), description=description, allow_abbrev=False,
+                                     argument_default=argparse.SUPPRESS)
+    parser.error = lambda message: parser.exit(2, f"error: {message}\n")  # and no usage
     for item in fields(config_class):
         text = item.metadata["text"].replace("%", "%%")
         if item.type is not bool and item.default != "":

@@ -1,22 +1,15 @@
 """The demonstration of `python navbot_min.py`: a robot drives by a simple rule, without torch."""
 
-from dataclasses import dataclass
-
 from sim import SceneError
 from support.cli import option, parse
 from support.pictures import draw_demo, save
 from support.traces import TurnToTarget, drive
 
 
-@dataclass
-class Options:
-    """A demonstration."""
-    env: str = option("env1", "a room's name or file")
-
-
 def main(environment, argv=None):
     """Drives six episodes and draws them to demo.png. environment: the class NavVecEnv."""
-    options, parser = parse(Options, "Drive a robot by the rule 'turn to the target and go'.", argv)
+    options, parser = parse({"env": option("env1", "a room's name or file")},
+                            "Drive a robot by the rule 'turn to the target and go'.", argv)
     try:
         traces = drive(TurnToTarget(), environment(1, [options.env]), quota=[6], images=True)
         for k, trace in enumerate(traces):

@@ -48,6 +48,10 @@ PALETTE = {
     "input": "#fbe9c9", "layer": "#e3e8ee", "memory": "#f3d9e3", "output": "#d8ebe6"}  # of diagrams
 MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
+# Entries of legends: the robot's disc at its start, and a white patch of a painted floor.
+START = Line2D([], [], color=PALETTE["robot"], marker="o", ms=8, ls="none", label="start")
+TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"under {FEWEST} episodes: too few to tell")
+
 
 def save(figure, path):
     """Writes a Figure as PNG. Raises OSError."""
@@ -115,18 +119,13 @@ def target_handles(scene):
             for kind in kinds]
 
 
-def start_handle():
-    """Returns a legend's entry for the robot's disc at its start."""
-    return Line2D([], [], color=PALETTE["robot"], marker="o", ms=8, ls="none", label="start")
-
-
 def legend_of_paths(figure, scene, traces):
     """Draws the legend of paths, with the fraction of each outcome."""
     outcomes = [trace.outcome for trace in traces]
     ends = [Line2D([], [], color=PALETTE[outcome], marker=MARKERS[outcome], ms=5,
                    label=f"{outcome} {outcomes.count(outcome) / len(outcomes):.1%}")
             for outcome in MARKERS if outcome in outcomes]
-    legend_below(figure, [start_handle(), *target_handles(scene), *ends], ncols=6)
+    legend_below(figure, [START, *target_handles(scene), *ends], ncols=6)
 
 
 def draw_demo(scene, traces):
@@ -247,12 +246,6 @@ def paint_floor(axes, scene, goals, success, patch):
     return mesh
 
 
-def floor_handles(scene):
-    """Returns a legend's entries for a painted floor."""
-    few = Patch(fc="white", ec=PALETTE["robot"], label=f"under {FEWEST} episodes: too few to tell")
-    return [*target_handles(scene), few]
-
-
 def draw_floor(scene, traces, patch):
     """Returns a Figure: the success rate for targets in each patch of the floor."""
     width, height = np.ptp(scene.bounds, axis=0)
@@ -261,5 +254,5 @@ def draw_floor(scene, traces, patch):
                        [trace.arrived for trace in traces], patch)
     figure.colorbar(mesh, label="success rate [%]", shrink=0.8)
     figure.suptitle(f"{scene.name}: success by target, {len(traces):,} episodes", parse_math=False)
-    legend_below(figure, floor_handles(scene), ncols=4)
+    legend_below(figure, [*target_handles(scene), TOO_FEW], ncols=4)
     return figure

@@ -51,7 +51,6 @@ class Table:
 
     def size(self):
         """Returns the bytes of the file, when all of them are on disk."""
-        self.file.flush()
         os.fsync(self.file.fileno())
         return self.file.tell()
 
@@ -117,8 +116,6 @@ def begin_run(config, parser, environment):
     if parallel.rank() == 0:
         if not config.resume:
             make_folder(config, RANDOM if config.env == RANDOM else scenes[0].name)
-            if scene_files.remark(config.env):
-                print(scene_files.remark(config.env), file=sys.stderr)
         print(f"run folder: {config.out}", file=sys.stderr if config.json else sys.stdout)
     return config, scenes
 
@@ -214,7 +211,4 @@ def check_config(config, parser):
         if name in parser.given and getattr(config, other) != needed:
             parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it has an effect "
                          f"only with --{other} {needed}: leave it out")
-    if config.minibatches > config.episodes_per_update:
-        parser.error(f"--minibatches is {config.minibatches}, it must be at most "
-                     f"{config.episodes_per_update}, the episodes of an update")
     parallel.check_processes(config, parser)

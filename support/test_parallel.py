@@ -10,7 +10,7 @@ import torch
 import train
 from model import make_network
 from ppo import Episode, update
-from support import cli, parallel
+from support import parallel
 from support.parallel import ProcessLost, gather, in_processes, run_together, total
 
 LENGTHS = (3, 9, 5, 1, 7, 12, 4, 2)
@@ -89,7 +89,7 @@ def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setenv("WORLD_SIZE", str(torchrun))
     config = train.Config(**options)
-    parallel.check_processes(config, cli.Parser())
+    parallel.check_processes(config, None)
     return config.workers
 
 

@@ -6,7 +6,7 @@ import pytest
 import scenes
 import sim
 from navbot_min import OUTCOMES, NavVecEnv
-from support.ranges import range_readings
+from scenes.generate import range_readings
 from support.traces import TurnToTarget, drive
 
 QUOTA = [2, 0, 1, 3, 2, 1]

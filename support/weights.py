@@ -32,9 +32,6 @@ def load_model(path):
     if not file.exists():
         missing = f"has no {FILE} yet" if path.is_dir() else "does not exist"
         raise RunError(f"run '{path}' {missing}: it must be a run's folder or a .safetensors file")
-    if path.suffix == ".pt":
-        raise RunError(f"'{path}' is of an older version of this program, which cannot be read; "
-                       "it must be a .safetensors file")
     try:
         with safe_open(file, "pt") as content:
             about = json.loads((content.metadata() or {})["navbot_min"])
@@ -43,16 +40,10 @@ def load_model(path):
         if about["format"] != FORMAT or not known:
             raise ValueError("it holds no network of this version")
         model = Network(about["memory"], about["without"])
-        expected = model.state_dict()
-        if weights.keys() != expected.keys():
-            raise ValueError("its weights have other names")
-        for name, value in weights.items():
-            if (value.dtype, value.shape) != (expected[name].dtype, expected[name].shape):
-                raise ValueError(f"'{name}' has another type or shape")
-            if not value.isfinite().all():
-                raise ValueError(f"'{name}' has values that are not finite")
         model.load_state_dict(weights)
+        if not all(value.isfinite().all() for value in weights.values()):
+            raise ValueError("its weights are not all finite")
         return model, [scene_files.rebuild(fields) for fields in about["scenes"]]
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise RunError(f"'{file}' holds no weights of this program: "
-                       f"{str(error).splitlines()[0][:100]}") from None
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:150]
+        raise RunError(f"'{file}' holds no weights of this program: {reason}") from None
