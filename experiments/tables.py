@@ -190,6 +190,7 @@ def measured(section):
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (
     summary, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
+TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(run_rows, *row) for name, row in RUNS.items()}
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "pauses", "programs")}
