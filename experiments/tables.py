@@ -176,16 +176,17 @@ def benchmark():
     """The speed of each stage on one core and on all."""
     figures = read("benchmark.json")
     speeds = pd.json_normalize([figures, figures.get("all_cores", figures)], sep=" ").T
-    speeds = speeds.filter(regex="^(cores|camera|world|env|network|train|roof_.ps)", axis=0)
+    speeds = speeds.filter(regex="^((camera|world|env)_.ps 32|network|train|roof_.ps)", axis=0)
     for stage in ("network_fps act", "network_fps forward", "network_fps both", "train_sps"):
         roof = speeds.loc[re.sub("network|train", "roof", stage)]
         speeds.loc[f"{stage}, % of the roof"] = 100 * speeds.loc[stage] / roof
-    return speeds
+    return speeds.filter(regex="^(?!roof)", axis=0)
 
 
 def measured(section):
-    """Returns each number of a section of the benchmark, after the words that lead to it."""
-    return pd.json_normalize(read("benchmark.json")[section], sep=", ").T
+    """Returns a section of the benchmark: a row for each key, for each number of `programs`."""
+    rows = read("benchmark.json")[section]
+    return (pd.json_normalize(rows, sep=", ") if section == "programs" else pd.DataFrame(rows)).T
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (
@@ -193,7 +194,7 @@ TABLES = {function.__name__.replace("_", "-"): function for function in (
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(run_rows, *row) for name, row in RUNS.items()}
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
-TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "pauses", "programs")}
+TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "programs")}
 
 
 def markdown(table):
