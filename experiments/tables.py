@@ -18,40 +18,31 @@ MARKED = re.compile(r"(<!-- table: (.*) -->\n(?:\|.*\n){2})(?:\|.*\n)*(<!-- end 
 
 ROOMS_LEARNT = {f"rooms-{count}": str(count) for count in (1, 4, 16, 64, 256)}
 ROOMS_LEARNT["rooms-0"] = "600 new ones"  # each of 60 robots moves 10 times in 500,000 steps
-LAB = {"env2": "env2's, as it is", "any-room": "any-room's, as it is",
-       "random-env2": "learnt in env2, errors drawn",
-       "random-rooms": "any-room's, learnt on in random rooms, errors drawn",
-       "from-scratch": "from random weights", "from-env2": "from env2's",
-       "from-any-room": "from any-room's"}
-
-# Tables with a row for each run: (file, columns that sort it, columns to show).
-RUNS = {
-    "seeds": ("seeds.csv", "env way new_success",
-              "env way seed training new new_spl anywhere_success mean_action_arrives"),
-    "level1": ("level1.csv", "env perturbed_success seed",
-               "env seed steps_to_stop start perturbed perturbed_spl"),
-    "planners": ("planners.csv", "env", "planner env start_n start_success anywhere anywhere_spl")}
+LAB = {"env2": "env2 policy, unchanged", "any-room": "any-room policy, unchanged",
+       "random-env2": "trained in env2 with random errors",
+       "random-rooms": "any-room policy, trained further with random errors",
+       "from-scratch": "from random weights", "from-env2": "from env2 policy",
+       "from-any-room": "from any-room policy"}
 
 # Tables with a row for each group of runs: (files, query, columns that group, columns to show).
-ANYWHERE = "targets not in ['training', 'new']"  # for rooms.csv: level3.csv has no such column
+RANDOM_TARGETS = "targets not in ['training', 'new']"  # level3.csv has no such column
 PARTS = "way in ['rooms-0', 'single', 'none', 'blind', 'no-target', 'no-last']"
-GROUPS = {
-    "floor": ("floor.csv", "", "env way", "success"),
+GROUPS = {  # a cell has the number of each seed
     "level1-short": ("level1.csv", "", "env", "perturbed_success perturbed_spl"),
     "level2-short": ("seeds.csv", "way == 'varied'", "env",
                      "new_success new_spl anywhere_success anywhere_spl"),
-    "hidden": ("seeds.csv hidden.csv", "", "env way hidden", "training_success new_success"),
-    "ablations": ("seeds.csv ablations.csv", "way != 'one-start' and seed < 3", "env way",
-                  "new_success training_success anywhere_success"),
-    "level3": ("level3.csv rooms.csv", f"way == 'any-room' and {ANYWHERE}", "way",
+    "level3": ("level3.csv rooms.csv", f"way == 'any-room' and {RANDOM_TARGETS}", "way",
                "success spl validation_success seconds"),
-    "rooms-learnt": ("level3.csv rooms.csv", f"way in @ROOMS_LEARNT and {ANYWHERE}", "way",
-                     "training_success validation_success success"),
-    "level3-ablations": ("level3.csv rooms.csv", f"{PARTS} and {ANYWHERE}", "way",
-                         "validation_success success"),
-    "carry-over": ("carry-over.csv", "", "env room targets", "success"),
     "released-learner": ("released_learner.csv", "", "variant",
                          "peak_success peak_steps last_success frozen_new frozen_training")}
+MEANS = {  # a cell has the mean of the seeds and the worst one
+    "level1": ("level1.csv", "", "env", "start_success perturbed_success perturbed_spl"),
+    "ablations": ("seeds.csv ablations.csv", "way != 'one-start' and seed < 3", "env way",
+                  "new_success anywhere_success"),
+    "rooms-learnt": ("level3.csv rooms.csv", f"way in @ROOMS_LEARNT and {RANDOM_TARGETS}", "way",
+                     "training_success validation_success"),
+    "level3-ablations": ("level3.csv rooms.csv", f"{PARTS} and {RANDOM_TARGETS}", "way",
+                         "validation_success success")}
 
 
 def read(name):
@@ -93,9 +84,9 @@ def mean_and_worst(values):
     return f"{values.mean():.1f} % ({values.min():.1f} %)"
 
 
-def run_rows(name, order, columns):
-    """Returns the rows of a file. Arguments: as in RUNS."""
-    return read(name).sort_values(order.split(), kind="stable")[columns.split()].values
+def mean_and_least(values):
+    """Writes the mean of the seeds and, in brackets, the least of them if there are several."""
+    return text(values.mean()) + (f" ({text(values.min())})" if len(values) > 1 else "")
 
 
 def grouped(rows, groups, columns, cell=each):
@@ -106,10 +97,10 @@ def grouped(rows, groups, columns, cell=each):
     return seeds.groupby(groups, sort=False, dropna=False).agg(cell)
 
 
-def group_rows(files, query, groups, columns):
+def group_rows(files, query, groups, columns, cell=each):
     """Returns `grouped` of the rows that a query selects from files. Arguments: as in GROUPS."""
     rows = pd.concat(map(read, files.split()))
-    return grouped(rows.query(query) if query else rows, groups, columns)
+    return grouped(rows.query(query) if query else rows, groups, columns, cell)
 
 
 def summary():
@@ -121,6 +112,19 @@ def summary():
                    "env way", "training_success new_success anywhere_success", mean_and_worst)
 
 
+def hidden():
+    """Success on new targets with a column for each part of the observation that is hidden."""
+    rows = pd.concat([read("seeds.csv"), read("hidden.csv")]).fillna({"hidden": "nothing"})
+    return grouped(rows, "env way hidden", "new_success", mean_and_least).new_success.unstack()
+
+
+def carry_over():
+    """Success in rooms that a policy never saw, with a row for each kind of room it learned in."""
+    random = read("rooms.csv").query("way == 'any-room'").assign(env="random rooms")
+    rows = pd.concat([read("carry-over.csv"), random]).query(RANDOM_TARGETS)
+    return grouped(rows, "env room", "success", mean_and_least).success.unstack().sort_index(axis=1)
+
+
 def level3_rooms():
     """Level 3 with each seed: the test rooms, and the random rooms for validation."""
     runs = read("level3.csv").rename(columns={"validation": "rate"})
@@ -130,19 +134,20 @@ def level3_rooms():
 
 
 def level3_planners():
-    """The planners in the rooms of level 3: success [%] / SPL."""
-    rows = read("level3-planners.csv")
-    rows["cell"] = rows[["success", "spl"]].values.tolist()
-    return rows.pivot(index="planner", columns="room", values="cell").loc[rows.planner.unique()]
+    """The planners and the any-room policies in the rooms of level 3: success [%]/SPL."""
+    validation = {"validation_success": "success", "validation_spl": "spl"}
+    rows = pd.concat([read("level3-planners.csv").rename(columns={"planner": "way"}),
+                      read("rooms.csv").query(f"way == 'any-room' and {RANDOM_TARGETS}"),
+                      read("level3.csv").query("way == 'any-room'").rename(columns=validation)])
+    groups = rows.fillna({"room": "validation"}).groupby(["way", "room"], sort=False)
+    cells = groups[["success", "spl"]].mean().map(text)
+    return (cells.success + "/" + cells.spl).unstack().drop("random")
 
 
 def lab():
     """Policies in the lab."""
     rows = read("lab.csv").sort_values("allowed").replace({"way": LAB})
-    rows["collision"] = (rows.training_collision + rows.new_collision) / 2
-    rows["stops"] = (rows.training_stops + rows.new_stops) / 2
-    return grouped(rows, "way allowed",
-                   "hours new_success training_success anywhere_success collision stops")
+    return grouped(rows, "way allowed", "new_success anywhere_success", mean_and_least)
 
 
 def lab_errors():
@@ -168,8 +173,7 @@ def stops():
     """The runs that the paper's rule stops."""
     runs = [read(f"env1-seed{seed}.json") for seed in range(5)]
     rows = rates(pd.json_normalize(runs, sep="_")).sort_values("frozen_new_success")
-    columns = "seed steps episodes seconds rolling_new_success frozen_new frozen_training"
-    return rows[columns.split()].values
+    return rows["seed steps seconds rolling_new_success frozen_new frozen_training".split()].values
 
 
 def benchmark():
@@ -189,11 +193,11 @@ def measured(section):
     return (pd.json_normalize(rows, sep=", ") if section == "programs" else pd.DataFrame(rows)).T
 
 
-TABLES = {function.__name__.replace("_", "-"): function for function in (
-    summary, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
+TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
+    carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
-TABLES |= {name: partial(run_rows, *row) for name, row in RUNS.items()}
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
+TABLES |= {name: partial(group_rows, *row, mean_and_least) for name, row in MEANS.items()}
 TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "programs")}
 
 

@@ -53,7 +53,7 @@ def test_frozen_policies_stand_at_the_episodes_that_they_learnt_in_the_lab():
     lab = read("lab.csv")
     success, *_ = figures.draw_lab(lab, read("lab-curves.csv")).axes
     points = {line.get_label(): line.get_xydata() for line in success.lines}
-    for label, *ways in (("from env2's", "env2", "from-env2"),
+    for label, *ways in (("from env2 policy", "env2", "from-env2"),
                          ("from random weights", "from-scratch")):
         expected = [(row.allowed, row.new_success) for row in lab.itertuples() if row.way in ways]
         assert sorted(map(tuple, points[label])) == sorted(expected)

@@ -45,7 +45,8 @@ def test_a_group_has_its_seeds_in_order_and_each_weighs_alike(results):
         "# a comment\nenv,way,seed,success\n"
         "env2,varied,1,1\nenv2,varied,0,0\nenv2,varied,0,1\nenv1,varied,0,0.25\n"
         "env2,varied,1,1\nenv2,varied,1,1\nenv2,one-start,0,0\n")
-    assert tables.markdown(tables.TABLES["floor"]()).splitlines() == [
+    rows = tables.group_rows("floor.csv", "", "env way", "success")
+    assert tables.markdown(rows).splitlines() == [
         "| env1 | varied | 25 |", "| env2 | varied | 50, 100: **75** |",
         "| env2 | one-start | 0 |"]
 
@@ -54,13 +55,21 @@ def test_a_summary_names_the_mean_and_the_worst():
     assert tables.mean_and_worst(pd.Series([90.0, 60.0, 100.0, 70.0])) == "80.0 % (60.0 %)"
 
 
-def test_a_table_of_runs_is_worst_first(results):
-    (results / "planners.csv").write_text(
-        "planner,env,start_n,start_success,anywhere_success,anywhere_low,anywhere_high,"
-        "anywhere_spl\nbug,env2,12,0.75,0.9,0.8,0.95,0.5\nbug,env1,4,0.25,0,0,0.1,0\n")
-    assert tables.markdown(tables.TABLES["planners"]()).splitlines() == [
-        "| bug | env1 | 4 | 25 | 0.0 % [0.0, 10.0] | 0 |",
-        "| bug | env2 | 12 | 75 | 90.0 % [80.0, 95.0] | 0.5 |"]
+def test_a_cell_has_the_mean_and_the_worst_of_several_seeds():
+    assert tables.mean_and_least(pd.Series([90.0, 60.0, 100.0, 70.0])) == "80 (60)"
+    assert tables.mean_and_least(pd.Series([8.666])) == "8.67"
+
+
+def test_a_room_that_a_policy_was_trained_in_has_no_cell(results):
+    header = "env,way,seed,room,targets,success\n"
+    (results / "carry-over.csv").write_text(
+        header + "env1,varied,0,env2,anywhere,0.5\nenv1,varied,1,env2,anywhere,0.7\n"
+        "env1,varied,0,env2,new,0\nenv2,varied,0,env1,anywhere,0.25\n")
+    (results / "rooms.csv").write_text(
+        header.removeprefix("env,") + "any-room,0,env1,anywhere,0.9\nsingle,0,env1,anywhere,0\n"
+        "any-room,0,env2,anywhere,1\n")
+    assert tables.markdown(tables.carry_over()).splitlines() == [
+        "| env1 | - | 60 (50) |", "| env2 | 25 | - |", "| random rooms | 90 | 100 |"]
 
 
 def test_only_errors_that_the_lab_still_has_are_shown_the_most_costly_first(results):
