@@ -1,4 +1,4 @@
-"""The tour runs from top to bottom, and what it shows is saved."""
+"""The tour runs from top to bottom and contains its outputs."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ TOUR = Path(__file__).parent / "tour.ipynb"
 
 def test_the_tour_runs_from_top_to_bottom():
     tour = nbformat.read(TOUR, 4)
-    where = {"metadata": {"path": str(TOUR.parent)}}  # as an editor begins it
-    nbclient.NotebookClient(tour, timeout=1200, resources=where).execute()  # raises where it fails
+    where = {"metadata": {"path": str(TOUR.parent)}}  # as an editor starts it
+    nbclient.NotebookClient(tour, timeout=1200, resources=where).execute()  # raises if a cell fails
 
 
-def test_what_it_shows_is_saved_with_it():
+def test_its_outputs_are_saved():
     cells = [cell for cell in nbformat.read(TOUR, 4).cells if cell.cell_type == "code"]
-    assert all(cell.outputs for cell in cells[1:])  # the first one imports
+    assert all(cell.outputs for cell in cells[1:])  # the first one only imports
