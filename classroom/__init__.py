@@ -1,1 +1,1 @@
-"""For a class: what a teacher needs beside the lesson (docs/class.md)."""
+"""Teaching material that accompanies the lesson (docs/class.md)."""

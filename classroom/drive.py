@@ -1,5 +1,5 @@
-"""Drive it yourself: `python -m classroom.drive --env env1`. You see what the robot sees, and steer
-with the arrow keys. A picture and a table then compare you with the policy and planners."""
+"""Drive the robot yourself: `python -m classroom.drive --env env1`. You see its image and
+steer with the arrow keys. A picture and a table then compare you with a policy and planners."""
 
 import csv
 import time
@@ -26,17 +26,17 @@ OTHERS = ("oracle", "bug", "straight")  # planners that drive the same tasks
 
 @dataclass
 class Options:
-    """The options of a drive."""
+    """Command-line options of a drive."""
     env: str = option("env1", "a room: its name, a file (.toml, .world) or random:7")
-    episodes: int = option(5, "how many, each with a random start and target", 1, 1000)
-    seed: int = option(0, "which tasks: the same seed, the same starts and targets", 0, 10 ** 9)
-    name: str = option("you", "who drives, for drives.csv")
-    out: str = option("drives", "the folder for paths.png and drives.csv")
+    episodes: int = option(5, "number of episodes, each with a random start and target", 1, 1000)
+    seed: int = option(0, "seed of the tasks: the same seed, the same tasks", 0, 10 ** 9)
+    name: str = option("you", "your name, for drives.csv")
+    out: str = option("drives", "folder for paths.png and drives.csv")
 
 
 def open_window():
-    """Returns a Figure in a window. Raises RuntimeError if there is no display or no toolkit."""
-    plt.rcParams["toolbar"] = "None"  # its keys are the arrows
+    """Returns a Figure in a window. Raises RuntimeError without a display or a toolkit."""
+    plt.rcParams["toolbar"] = "None"  # it uses the arrow keys too
     figure = plt.figure("navbot_min", layout="constrained")
     if figure.canvas.required_interactive_framework is None:
         raise RuntimeError("no window can be opened here: it needs a display, and tkinter or PyQt6")
@@ -45,16 +45,16 @@ def open_window():
 
 
 class You:
-    """A driver for one robot: the person at the keyboard. figure: of matplotlib, in a window."""
+    """Driver for one robot: a person at the keyboard. figure: a matplotlib Figure in a window."""
 
     def __init__(self, figure):
         axes = figure.subplots()
         axes.axis("off")
         self.picture = axes.imshow(np.zeros((48, 64, 3), np.uint8))
         self.title = axes.set_title("")
-        self.message = "press Enter, then drive by the arrow keys"  # empty while you drive
+        self.message = "press Enter, then drive with the arrow keys"  # empty while you drive
         self.held = set()  # keys
-        self.pressed = set()  # keys, in this control period
+        self.pressed = set()  # keys, during this control period
         self.canvas = figure.canvas
         self.canvas.mpl_connect("key_press_event", lambda event: self.held.add(event.key))
         self.canvas.mpl_connect("key_press_event", lambda event: self.pressed.add(event.key))
@@ -62,10 +62,10 @@ class You:
         self.canvas.mpl_connect("close_event", lambda event: self.held.add("close"))
 
     def reset(self, env, robots):
-        """Does nothing: an episode begins when there is a message."""
+        """Does nothing: `act` waits for Enter as long as there is a message."""
 
     def act(self, env, observations):
-        """Shows the observation. Returns the action (1, 2) of the keys in a control period."""
+        """Shows the observation. Returns the action (1, 2) of the keys in one control period."""
         distance, bearing = observations["target"][0]
         self.picture.set_data(observations["image"][0])
         self.title.set_text(
@@ -80,33 +80,33 @@ class You:
         return np.array([["up" in keys, ("left" in keys) - ("right" in keys)]], float)
 
     def keys(self, seconds):
-        """Returns the keys held after some seconds or pressed within them. Raises RuntimeError."""
+        """Returns the keys held or pressed in an interval. Raises RuntimeError if closed."""
         self.pressed.clear()
         until = time.perf_counter() + seconds
         while time.perf_counter() < until:
             self.canvas.flush_events()
             time.sleep(0.005)
         if "close" in self.held:
-            raise RuntimeError("the window was closed: nothing of the drive is kept")
+            raise RuntimeError("the window was closed: the drive was not saved")
         return self.held | self.pressed
 
 
 def same_tasks(driver, scene, episodes, seed):
-    """Yields the Traces of a driver on the tasks of a seed, which are the same for every driver."""
+    """Yields a driver's Traces on the tasks of this seed, which are the same for every driver."""
     env = make_environment("anywhere", [scene], [0], environment=environment_of([scene]))
     for k in range(episodes):  # each has its own seed: some rooms draw numbers at each step
         yield from drive(driver, env, [1], 1000 * seed + k)
 
 
 def policy_for(scene):
-    """Returns a name and the policy trained in this room, or else that of random rooms."""
+    """Returns the name and the policy trained in this room, or those for random rooms."""
     weights = PRETRAINED / f"{scene.name}.safetensors"
     weights = weights if weights.exists() else PRETRAINED / "any-room.safetensors"
-    return f"learner ({weights.name})", Policy(load_model(weights)[0], "mean", seed=0)
+    return f"policy ({weights.name})", Policy(load_model(weights)[0], "mean", seed=0)
 
 
 def rows_of(traces, name="", env="", seed=0):
-    """Returns the rows of drives.csv of a driver's Traces, as dicts."""
+    """Returns the rows of drives.csv for a driver's Traces, as dicts."""
     paths = ShortestPaths()
     rows = []
     for k, trace in enumerate(traces):
@@ -128,20 +128,20 @@ def summary(rows):
 
 
 def table(results):
-    """Returns a table as text. results: pairs of a name and what `summary` returns."""
+    """Returns a table as text. results: pairs of a name and the dict that `summary` returns."""
     line = "{:30}  {success:7.0%}   [{low:4.0%}, {high:4.0%}]  {spl:4.2f}  {seconds:.1f}"
     lines = [line.format(name, **result) for name, result in results]
-    return "\n".join([f"{'':30}  arrives  95 % interval   SPL  seconds to arrive", *lines])
+    return "\n".join([f"{'':30}  success  95 % interval   SPL  seconds to arrive", *lines])
 
 
 def main(argv=None):
-    """Lets you drive, then the policy and the planners, and compares all of them."""
-    options, parser = parse(Options, "Drive the robot yourself, by what it sees.", argv)
+    """Lets you drive, then a policy and planners, and compares all of them."""
+    options, parser = parse(Options, "Drive the robot yourself, from its camera image.", argv)
     folder = Path(options.out)
     try:
         scene = scenes.load(options.env)
         you = You(open_window())
-        folder.mkdir(parents=True, exist_ok=True)  # before the drive: it may fail
+        folder.mkdir(parents=True, exist_ok=True)  # before the drive, since this may fail
         yours = []
         for trace in same_tasks(you, scene, options.episodes, options.seed):
             yours.append(trace)

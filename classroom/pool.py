@@ -1,5 +1,5 @@
 """The drives of a class in one table and one figure: `python -m classroom.pool FOLDER`. The folder
-holds the drives.csv of each person, under any name. The same room and seed give the same tasks."""
+contains each person's drives.csv, under any name. The same room and seed give the same tasks."""
 
 import csv
 from pathlib import Path
@@ -17,10 +17,10 @@ COLUMNS = dict(name=str, env=str, seed=int, episode=int, outcome=str, seconds=fl
 
 
 def read_drives(folder):
-    """Returns each person's first try at each task, name -> rows. Raises RunError, OSError."""
+    """Returns the first try of each person at each task, name -> rows. Raises RunError, OSError."""
     drivers = {}  # (name, env, seed) -> episode -> row
     for file in sorted(Path(folder).rglob("*.csv")):
-        with open(file, newline="", encoding="utf-8-sig") as text:  # or a spreadsheet's
+        with open(file, newline="", encoding="utf-8-sig") as text:  # with or without BOM
             reader = csv.DictReader(text)
             try:
                 rows = [{key: kind(row[key]) for key, kind in COLUMNS.items()} for row in reader]
@@ -29,21 +29,21 @@ def read_drives(folder):
                                "classroom.drive") from None
         for row in rows:
             tries = drivers.setdefault((row["name"], row["env"], row["seed"]), {})
-            first = tries.setdefault(row["episode"], row | {"file": file})  # later: practised
+            first = tries.setdefault(row["episode"], row | {"file": file})  # only the first
             if first["file"] != file:
-                raise RunError(f"'{row['name']}' drives in two files: choose another --name")
+                raise RunError(f"'{row['name']}' is in two files: choose another --name")
     tasks = {f"{len(tries)} tasks in {env} with seed {seed}"
              for (_, env, seed), tries in drivers.items()}
     if len(tasks) != 1:
-        raise RunError(f"'{folder}' holds drives of {' and '.join(sorted(tasks)) or 'no task'}: "
+        raise RunError(f"'{folder}' contains drives of {' and '.join(sorted(tasks)) or 'no task'}: "
                        "all must be of the same tasks")
     return {name: list(tries.values()) for (name, _, _), tries in drivers.items()}
 
 
 def main(argv=None):
-    """Prints the table of a class's drives and draws drives.png, success and SPL of each person."""
-    folder = option("drives", "with the drives.csv of each, under any name", positional=True)
-    options, parser = parse({"folder": folder}, "Draw the drives of a class into drives.png.", argv)
+    """Prints the table of a class and draws drives.png: success rate and SPL of each person."""
+    folder = option("drives", "folder with each drives.csv, under any name", positional=True)
+    options, parser = parse({"folder": folder}, "Compare the drives of a class.", argv)
     try:
         drivers = read_drives(options.folder)
         tries = next(iter(drivers.values()))  # all have the same tasks
@@ -51,7 +51,7 @@ def main(argv=None):
     except (RunError, SceneError, OSError) as error:
         parser.error(error)
     name, policy = policy_for(scene)
-    learner = summary(rows_of(same_tasks(policy, scene, len(tries), tries[0]["seed"])))
+    trained = summary(rows_of(same_tasks(policy, scene, len(tries), tries[0]["seed"])))
     results = [(driver, summary(rows)) for driver, rows in drivers.items()]
     results.sort(key=lambda pair: (pair[1]["success"], pair[1]["spl"]))
     figure = Figure(figsize=(WIDTH, 1.2 + 0.35 * len(results)), layout="constrained")
@@ -59,15 +59,15 @@ def main(argv=None):
     panels = figure.subplots(1, 2, sharey=True)
     for axes, key, label in zip(panels, ("success", "spl"), ("success rate", "SPL")):
         axes.barh(names, [result[key] for _, result in results], color=PALETTE["run"])
-        axes.axvline(learner[key], color=PALETTE["arrival"], lw=2)
+        axes.axvline(trained[key], color=PALETTE["arrival"], lw=2)
         axes.set_yticks(names, names, parse_math=False)
         axes.set(xlabel=label, xlim=(0, 1.05))
     for driver, result in results:
         panels[0].hlines(driver, result["low"], result["high"], color=PALETTE["robot"], lw=1)
     figure.suptitle(f"{tries[0]['env']}, {len(drivers)} drivers, {len(tries)} tasks; tall line: "
-                    "the learner; thin: 95 % intervals", parse_math=False)
+                    "trained policy; thin: 95 % intervals", parse_math=False)
     save(figure, "drives.png")
-    print(table([(name, learner), *reversed(results)]) + "\ndrives.png")
+    print(table([(name, trained), *reversed(results)]) + "\ndrives.png")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about drives and their pooling."""
+"""Each test is the shortest proof of one claim about drives and their comparison in a class."""
 
 import re
 
@@ -18,7 +18,7 @@ SEEN = {"image": np.arange(48 * 64 * 3, dtype=np.uint8).reshape(1, 48, 64, 3),
 
 @pytest.fixture
 def you(monkeypatch):
-    """A driver without a window, whose control period is short."""
+    """A driver without a window and with a short control period."""
     monkeypatch.setattr(drive, "CONTROL_PERIOD", 0.001)
     return drive.You(Figure())
 
@@ -38,8 +38,7 @@ def test_held_keys_become_an_action(you, keys, action):
     assert np.array_equal(you.act(None, SEEN), [action])
 
 
-def test_an_episode_begins_by_enter_and_a_short_press_counts_for_one_control_period(you,
-                                                                                   monkeypatch):
+def test_enter_begins_an_episode_and_a_short_press_counts_for_one_control_period(you, monkeypatch):
     taps = [["up"], ["enter"], ["up"], []]
 
     def flush():
@@ -54,7 +53,7 @@ def test_an_episode_begins_by_enter_and_a_short_press_counts_for_one_control_per
     assert np.array_equal(you.act(None, SEEN), [(0, 0)]) and not taps
 
 
-def test_a_person_is_shown_the_observation_until_the_window_is_closed(you):
+def test_the_observation_is_shown_until_the_window_is_closed(you):
     send(you, "press", "enter")
     you.act(None, SEEN)
     assert you.title.get_text().startswith("target 2.50 m, 30 deg to the right\nlast reward -0.1")
@@ -65,30 +64,30 @@ def test_a_person_is_shown_the_observation_until_the_window_is_closed(you):
 
 
 def test_all_drivers_have_the_same_tasks_even_in_a_room_that_draws_numbers_at_each_step():
-    ways = [list(drive.same_tasks(Planned(planner, 0), scenes.load("lab"), 3, seed=7))
-            for planner in ("bug", "straight")]
-    assert len({len(trace.rewards) for way in ways for trace in way}) > 1
-    for one, other in zip(*ways):
+    drives = [list(drive.same_tasks(Planned(planner, 0), scenes.load("lab"), 3, seed=7))
+              for planner in ("bug", "straight")]
+    assert len({len(trace.rewards) for traces in drives for trace in traces}) > 1
+    for one, other in zip(*drives):
         assert np.array_equal(one.start, other.start) and np.array_equal(one.goal, other.goal)
-    assert len({trace.start.tobytes() for trace in ways[0]}) == 3
+    assert len({trace.start.tobytes() for trace in drives[0]}) == 3
 
 
 class Straight(drive.You):
-    """Turns to the target and goes, by what is shown."""
+    """Turns to the target and drives, using only the title of the window."""
 
     def keys(self, seconds):
         bearing = re.search(r"(\d+) deg to the (left|right)", self.title.get_text())
         return {"enter", "up"} | ({bearing[2]} if int(bearing[1]) > 5 else set())
 
 
-def test_a_drive_is_saved_and_compared_and_pooled_by_its_first_tries(tmp_path, monkeypatch, capsys):
+def test_a_drive_is_saved_and_compared_and_first_tries_are_pooled(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(drive, "You", Straight)
     monkeypatch.setattr(drive, "open_window", Figure)
     arguments = ["--episodes", "3", "--seed", "4", "--name", "Zoë"]
     drive.main(arguments)
-    said = capsys.readouterr().out
-    drive.main(arguments)  # is added to the first
+    printed = capsys.readouterr().out
+    drive.main(arguments)  # appends to the first
     rows = read_table("drives/drives.csv")
     assert [row["episode"] for row in rows] == list("012012")
     arrived = {"Zoë": [row["outcome"] == "arrival" for row in rows]}
@@ -96,14 +95,14 @@ def test_a_drive_is_saved_and_compared_and_pooled_by_its_first_tries(tmp_path, m
         traces = drive.same_tasks(Planned(planner, 0), scenes.load("env1"), 3, seed=4)
         arrived[planner] = [trace.arrived for trace in traces]
     for name, outcomes in arrived.items():
-        assert re.search(rf"^{name} +{np.mean(outcomes):.0%}", said, re.MULTILINE)
+        assert re.search(rf"^{name} +{np.mean(outcomes):.0%}", printed, re.MULTILINE)
     assert (tmp_path / "drives" / "paths.png").stat().st_size > 10_000
     tries = [(0, "collision", 0), (1, "arrival", 0.5), (2, "arrival", 1), (0, "arrival", 0.5)]
     save(tmp_path / "drives/b.csv", *[row(r"#$\foo$", "env1", 4, *each) for each in tries])
     capsys.readouterr()
     pool.main([])
     pooled = capsys.readouterr().out.splitlines()
-    assert set(said.splitlines()[1:3]) < set(pooled) and (tmp_path / "drives.png").exists()
+    assert set(printed.splitlines()[1:3]) < set(pooled) and (tmp_path / "drives.png").exists()
     assert [r"#$\foo$", "67%", "[", "21%,", "94%]", "0.50", "8.0"] in map(str.split, pooled)
 
 
@@ -117,24 +116,24 @@ def save(path, *rows):
 
 
 @pytest.mark.parametrize("files, words", [
-    ([], "holds drives of no task: all must"),
+    ([], "contains drives of no task: all must"),
     ([[row()], [row("ben"), row("ben", episode="x")]], "1.csv', line 3, is not a drive"),
     ([[row()[:-5]]], "0.csv', line 2"),
     ([[row()], [row("ben", seed=1)]], "1 tasks in env1 with seed 0 and 1 tasks in env1 with seed"),
     ([[row(), row(episode=1), row("ben")]], "of 1 tasks in env1 with seed 0 and 2 tasks"),
-    ([[row()], [row()]], "'anna' drives in two files")])
-def test_drives_that_cannot_be_pooled_are_named(tmp_path, capsys, files, words):
+    ([[row()], [row()]], "'anna' is in two files")])
+def test_an_error_names_drives_that_cannot_be_pooled(tmp_path, capsys, files, words):
     for k, rows in enumerate(files):
         save(tmp_path / f"{k}.csv", *rows)
     with pytest.raises(SystemExit) as end:
         pool.main([str(tmp_path)])
-    said = capsys.readouterr().err
-    assert end.value.code == 2 and words in said and said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert end.value.code == 2 and words in printed and printed.count("\n") == 1
 
 
-def test_without_a_display_it_says_what_to_do(capsys):
+def test_without_a_display_the_error_explains_what_is_needed(capsys):
     drive.plt.switch_backend("agg")
     with pytest.raises(SystemExit):
         drive.main([])
-    said = capsys.readouterr().err
-    assert said.startswith("error: no window can be opened here") and said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: no window can be opened here") and printed.count("\n") == 1

@@ -1,4 +1,4 @@
-"""The finished runs for slow laptops show what the questions ask for."""
+"""The finished runs for slow laptops are those of the class page."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ RUNS = Path(__file__).parent / "runs"
 @pytest.mark.parametrize("name, changed", [
     ("one", {"random_starts": 0.0, "mirrored": 0.0}), ("anywhere", {}),
     ("none", {"memory": "none"})])
-def test_each_is_the_run_of_its_command_in_the_class_page(name, changed):
+def test_each_was_made_by_its_command_on_the_class_page(name, changed):
     config, summary, evaluation = [json.loads((RUNS / name / f"{stem}.json").read_text())
                                    for stem in ("config", "summary", "evaluation")]
     lesson = {"random_starts": 0.7, "mirrored": 0.5, "memory": "stacked", "steps": 250_000,
@@ -24,7 +24,7 @@ def test_each_is_the_run_of_its_command_in_the_class_page(name, changed):
     assert (RUNS / name / "floor-validation.png").exists() == (name != "none")
 
 
-def test_the_one_with_weights_does_what_its_numbers_say(tmp_path, capsys):
+def test_the_run_with_weights_reproduces_its_evaluation(tmp_path, capsys):
     run = tmp_path / "one"
     run.mkdir()
     for file in ("config.json", "model.safetensors"):

@@ -1,1 +1,1 @@
-"""Small files with a hole each: fill it until its tests pass (docs/class.md)."""
+"""Small files, each with a gap to fill until its tests pass (docs/class.md)."""

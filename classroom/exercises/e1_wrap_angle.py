@@ -1,14 +1,14 @@
-"""Exercise 1: one number for one direction.
+"""Exercise 1: one number for each direction.
 
-An angle and the same angle a whole turn on are one direction, and a network learns faster when one
-thing has one number. The project does it in `sim.py`, `wrap_angle`.
+An angle plus a whole turn is the same direction. A network learns faster if each direction has only
+one number. In the project: `wrap_angle` in `sim.py`.
 """
 
 import numpy as np
 
 
 def wrap_angle(angle):
-    """The same direction [rad] in (-pi, pi]: what is straight behind is pi, exactly, and never -pi.
+    """Returns the same direction [rad] in (-pi, pi]. Straight behind is exactly pi, never -pi.
     angle: a number or an array."""
     raise NotImplementedError("your turn")
 
@@ -16,11 +16,11 @@ def wrap_angle(angle):
 # ------------------------------------------- python -m pytest classroom/exercises/e1_wrap_angle.py
 
 
-def test_angles_inside_stay():
+def test_angles_in_the_range_do_not_change():
     assert np.allclose(wrap_angle(np.array([-3.0, 0.0, 1.5])), [-3.0, 0.0, 1.5])
 
 
-def test_a_turn_more_or_less_is_taken_off():
+def test_a_whole_turn_is_removed():
     assert np.allclose(wrap_angle(np.array([1.5 * np.pi, -1.5 * np.pi])), [-np.pi / 2, np.pi / 2])
 
 
@@ -29,7 +29,7 @@ def test_behind_is_pi_from_both_sides():
     assert np.array_equal(wrap_angle(np.array([-np.pi, np.pi])), [np.pi, np.pi])
 
 
-def test_it_is_the_same_direction_however_often_it_turned():
+def test_any_number_of_turns_gives_the_same_direction():
     angles = np.linspace(-500, 500, 1001)
     wrapped = wrap_angle(angles)
     assert np.allclose(np.exp(1j * wrapped), np.exp(1j * angles))

@@ -1,16 +1,16 @@
-"""Exercise 3: where the target is, as the robot sees it.
+"""Exercise 3: the target from the robot's point of view.
 
-The robot is not told where it is in the room, but how far off its target is and in which direction
-from its nose: so what it learns in one corner holds in every other. The project does it in
-`navbot_min.py`, `polar_targets`.
+The robot does not know its position in the room. It observes the distance to the target and the
+direction relative to its heading, so what it learns in one corner is valid in every other. In the
+project: `polar_targets` in `navbot_min.py`.
 """
 
 import numpy as np
 
 
 def polar_target(pose, target):
-    """Distance [m] and bearing [rad] in (-pi, pi] of the target (x, y) from the pose (x, y, theta).
-    The bearing is 0 straight ahead and grows to the left."""
+    """Returns the distance [m] and the bearing [rad], in (-pi, pi], of the target (x, y) from the
+    pose (x, y, theta). The bearing is 0 straight ahead and positive to the left."""
     raise NotImplementedError("your turn")
 
 
@@ -35,7 +35,7 @@ def test_the_bearing_is_wrapped():
     assert np.isclose(polar_target((0.0, 0.0, 0.0), (-1.0, 0.0))[1], np.pi)
 
 
-def test_driving_that_way_leads_there():
+def test_driving_the_distance_in_that_direction_reaches_the_target():
     rng = np.random.default_rng(0)
     for _ in range(100):
         x, y, theta, goal_x, goal_y = rng.uniform(-4, 4, 5)

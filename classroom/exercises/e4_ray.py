@@ -1,7 +1,7 @@
-"""Exercise 4: how far a ray goes until it meets a wall.
+"""Exercise 4: the distance at which a ray meets a wall.
 
-A camera of 64 columns is 64 such questions, one for each column; how near a wall is says how high
-it looks. The project does it for all robots, columns and walls at once in `render.py`.
+A camera with 64 columns casts 64 such rays. The nearer the wall, the taller it appears. The project
+does this for all robots, columns and walls at once: `render.py`.
 """
 
 import math
@@ -10,11 +10,11 @@ import pytest
 
 
 def ray_length(origin, angle, p, q):
-    """How far [m] a ray goes from the origin (x, y) in the direction angle [rad] until it meets the
-    wall from p (x, y) to q (x, y); math.inf where it does not, and where it runs along the wall.
+    """Returns the distance [m] from the origin (x, y), in the direction angle [rad], to the wall
+    from p (x, y) to q (x, y). Returns math.inf if the ray misses the wall or is parallel to it.
 
-    A point of the ray is origin + t (cos angle, sin angle), t >= 0, one of the wall p + u (q - p)
-    with u from 0 to 1. Where both are the same point, there are two equations for t and u.
+    A point of the ray is origin + t (cos angle, sin angle) with t >= 0. A point of the wall is
+    p + u (q - p) with u from 0 to 1. If both are the same point, that gives two equations in t, u.
     """
     raise NotImplementedError("your turn")
 
@@ -22,16 +22,16 @@ def ray_length(origin, angle, p, q):
 # --------------------------------------------------- python -m pytest classroom/exercises/e4_ray.py
 
 
-def test_a_wall_across_the_way():
+def test_a_wall_across_the_ray():
     assert ray_length((0, 0), 0.0, (2, -1), (2, 1)) == pytest.approx(2)
     assert ray_length((1, 1), math.pi / 2, (0, 4), (3, 4)) == pytest.approx(3)
 
 
-def test_a_wall_at_an_angle_is_met_later():
+def test_a_ray_at_an_angle_is_longer():
     assert ray_length((0, 0), math.pi / 4, (2, -5), (2, 5)) == pytest.approx(2 * math.sqrt(2))
 
 
-def test_what_is_behind_or_beside_is_not_met():
+def test_a_wall_behind_the_ray_or_next_to_it_is_not_met():
     assert ray_length((0, 0), math.pi, (2, -1), (2, 1)) == math.inf
     assert ray_length((0, 0), 0.0, (2, 1), (2, 3)) == math.inf
     assert ray_length((0, 0), 0.0, (2, 3), (2, 1)) == math.inf
@@ -41,7 +41,7 @@ def test_a_wall_along_the_ray_is_not_met():
     assert ray_length((0, 0), 0.0, (1, 1), (3, 1)) == math.inf
 
 
-def test_in_the_middle_of_a_round_room_every_way_is_as_long():
+def test_in_the_middle_of_a_round_room_all_rays_have_the_same_length():
     corners = [(math.cos(k * math.pi / 180), math.sin(k * math.pi / 180)) for k in range(361)]
     for degrees in range(0, 360, 7):
         lengths = [ray_length((0, 0), math.radians(degrees + 0.5), p, q)

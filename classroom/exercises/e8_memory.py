@@ -1,9 +1,9 @@
-"""Exercise 8: no episode remembers the one before.
+"""Exercise 8: an episode does not remember the one before.
 
-Several robots drive side by side, and their episodes end at different steps. A memory has to be
-empty at the first step of each episode, and only there. The project does it in
-`evaluation/drivers.py`, `Policy.reset`. When it learns, each episode has its own row, filled with
-zeros up to the longest one, and a mask says which steps count: `ppo.py`, `losses`.
+Several robots drive in parallel, and their episodes end at different steps. The memory must be zero
+at the first step of each episode, and only there. In the project: `Policy.reset` in
+`evaluation/drivers.py`. An update does it differently: each episode has its own row, padded with
+zeros to the length of the longest one, and a mask marks the real steps (`losses` in `ppo.py`).
 """
 
 import torch
@@ -11,10 +11,10 @@ from torch import nn
 
 
 def run_robots(cell, x, ended):
-    """Returns what an LSTM cell puts out at each step of R robots, (T, R, hidden).
+    """Returns the outputs of an LSTM cell for R robots and T steps, (T, R, hidden).
 
-    x: (T, R, inputs). ended: (T, R) bool, true if the robot's episode ends with that step: at its
-    next step h and c are 0, as at the first one. The other robots keep theirs.
+    x: (T, R, inputs). ended: (T, R) bool, true if the robot's episode ends with that step. At its
+    next step h and c are 0, as at the first step. The other robots keep their h and c.
     cell: an nn.LSTMCell, `h, c = cell(x, (h, c))` with x (R, inputs), h and c (R, hidden).
     """
     raise NotImplementedError("your turn")
@@ -26,7 +26,7 @@ EPISODES = [[(0, 9)], [(0, 4), (4, 9)], [(0, 1), (1, 2), (2, 7), (7, 9)]]  # ste
 
 
 def cell_and_steps():
-    """A cell with random weights, 9 inputs for each of 3 robots, and where their episodes end."""
+    """Returns a cell with random weights, 9 inputs for each of 3 robots, and `ended` for them."""
     torch.manual_seed(0)
     ended = torch.zeros(9, 3, dtype=bool)
     for r, episodes in enumerate(EPISODES):
@@ -36,13 +36,13 @@ def cell_and_steps():
 
 
 def run_one(cell, x):
-    """Returns the outputs of one episode, (T, hidden), by torch's loop. x: (T, inputs)."""
+    """Returns the outputs of one episode, (T, hidden), from torch's own LSTM. x: (T, inputs)."""
     lstm = nn.LSTM(3, 4)
     lstm.load_state_dict({f"{name}_l0": value for name, value in cell.state_dict().items()})
     return lstm(x)[0]
 
 
-def test_every_episode_is_as_if_there_were_no_other():
+def test_every_episode_is_computed_as_if_it_were_the_only_one():
     cell, x, ended = cell_and_steps()
     out = run_robots(cell, x, ended)
     for r, episodes in enumerate(EPISODES):
@@ -50,7 +50,7 @@ def test_every_episode_is_as_if_there_were_no_other():
             assert torch.allclose(out[begin:end, r], run_one(cell, x[begin:end, r]), atol=1e-6)
 
 
-def test_the_last_step_learns_from_all_of_its_episode_and_from_nothing_else():
+def test_the_last_step_depends_on_every_step_of_its_episode_and_on_no_other():
     cell, x, ended = cell_and_steps()
     x.requires_grad_()
     run_robots(cell, x, ended)[8, 1].sum().backward()

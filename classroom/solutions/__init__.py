@@ -1,1 +1,1 @@
-"""What fills the holes of the exercises. Look here last."""
+"""Solutions of the exercises. Look here last."""

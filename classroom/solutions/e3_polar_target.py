@@ -4,7 +4,7 @@ import numpy as np
 
 
 def polar_target(pose, target):
-    """The direction in the room, less the way the nose points, wrapped."""
+    """The bearing is the direction in the room minus the heading, wrapped."""
     x, y, theta = pose
     dx = target[0] - x
     dy = target[1] - y

@@ -4,8 +4,8 @@ import math
 
 
 def ray_length(origin, angle, p, q):
-    """With d the ray's direction, w the wall's and o the way to its end p, t d - u w = o. The cross
-    product of both sides with w leaves t alone, that with d leaves u."""
+    """Let d be the ray's direction, w the wall's, and o the vector from the origin to p. Then
+    t d - u w = o. The cross product of both sides with w gives t, that with d gives u."""
     d = math.cos(angle), math.sin(angle)
     w = q[0] - p[0], q[1] - p[1]
     o = p[0] - origin[0], p[1] - origin[1]
@@ -18,5 +18,5 @@ def ray_length(origin, angle, p, q):
 
 
 def cross(a, b):
-    """The cross product of two vectors of the plane."""
+    """Returns the cross product of two vectors in the plane."""
     return a[0] * b[1] - a[1] * b[0]

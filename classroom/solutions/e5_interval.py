@@ -6,7 +6,7 @@ from classroom.exercises.e5_interval import Z
 
 
 def wilson(successes, n):
-    """Squared, (s - p)^2 n = Z^2 p (1 - p) is (n + Z^2) p^2 - (2 n s + Z^2) p + n s^2 = 0."""
+    """Solves n (s - p)^2 = Z^2 p (1 - p), that is (n + Z^2) p^2 - (2 n s + Z^2) p + n s^2 = 0."""
     s = successes / n
     a = n + Z ** 2
     b = 2 * n * s + Z ** 2

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def advantages(rewards, values, last_value, gamma, lam):
-    """From the last step backwards, for each needs the one after it."""
+    """Runs backwards from the last step, since each advantage needs the next one."""
     following = np.append(values[1:], last_value)
     delta = rewards + gamma * following - values
     A = np.zeros(len(delta))

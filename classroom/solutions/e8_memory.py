@@ -4,14 +4,14 @@ import torch
 
 
 def run_robots(cell, x, ended):
-    """Step by step; a robot whose episode has ended continues with an empty memory."""
+    """Runs step by step. A robot whose episode has ended continues with a memory of zeros."""
     h = torch.zeros(x.shape[1], cell.hidden_size)
     c = torch.zeros(x.shape[1], cell.hidden_size)
     out = []
     for t in range(len(x)):
         h, c = cell(x[t], (h, c))
         out.append(h)
-        goes_on = ~ended[t][:, None]  # (R, 1)
-        h = h * goes_on
-        c = c * goes_on
+        continues = ~ended[t][:, None]  # (R, 1)
+        h = h * continues
+        c = c * continues
     return torch.stack(out)

@@ -7,18 +7,18 @@ import numpy as np
 from evaluation.planners import MARGIN, Planner, polar, room_ahead
 
 DIRECTIONS = np.radians(np.arange(-90, 91, 10))
-ENOUGH = 0.8  # [m] more room than that is as good
+ENOUGH = 0.8  # [m] more free space brings no benefit
 
 
 class Mine(Planner):
-    """Drives where there is room, as near to the goal's direction as can be, and keeps to the side
-    that it has chosen."""
+    """Drives in the free direction that is nearest to the goal's, and prefers the direction of the
+    last step."""
 
     senses = True
 
     def begin(self, pose, goal):
         super().begin(pose, goal)
-        self.last = 0.0  # [rad] the direction it chose last, in the room
+        self.last = 0.0  # [rad] direction of the last step, in room coordinates
 
     def act(self, pose, readings):
         distance, bearing = polar(pose, self.goal)
@@ -28,7 +28,7 @@ class Mine(Planner):
         as_before = np.abs(np.angle(np.exp(1j * (DIRECTIONS + pose[2] - self.last))))
         cost = towards + 0.7 * as_before + 6 * np.maximum(wanted - room, 0)
         best = cost.argmin()
-        if room[best] < MARGIN:  # it is in a corner: it turns on the spot
+        if room[best] < MARGIN:  # in a corner: turn on the spot
             return 0.0, math.copysign(1.0, bearing)
         self.last = pose[2] + DIRECTIONS[best]
         w = float(np.clip(2 * DIRECTIONS[best], -1, 1))
