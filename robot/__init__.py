@@ -1,4 +1,4 @@
-"""From simulation to a robot, paper IV-C."""
+"""From simulation to a real robot, paper IV-C."""
 
 import gymnasium
 

@@ -1,5 +1,5 @@
-"""The appearance of rooms to the camera: textures and light of the simulation, of the lab,
-and drawn at random."""
+"""The appearance of rooms to the camera: textures and light. There is the appearance of the
+simulation, that of the lab (the simulated real room), and random ones."""
 
 from functools import partial
 
@@ -9,13 +9,13 @@ from render import ABOVE, Camera, H, W
 from scenes import MATERIALS
 from support.textures import PERIOD, texture
 
-DRAWN_APPEARANCES = 64  # our choice, the same in every run
-SUN = np.array((-0.3, 0.6, 0.5))  # from windows on the other side
-U, V = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")  # [texel] along, above foot
+DRAWN_APPEARANCES = 64  # number of random appearances, the same in every run, our choice
+SUN = np.array((-0.3, 0.6, 0.5))  # direction towards the light, from windows on a different side
+U, V = np.meshgrid(np.arange(PERIOD), np.arange(ABOVE), indexing="ij")  # [texel] along, up
 
 
 class LabCamera(Camera):
-    """The camera in the lab: other textures for the same materials, light from windows on the other
+    """The camera in the lab: different textures for the same materials, light from a different
     side, a wooden floor and a white ceiling."""
 
     sun = SUN / np.linalg.norm(SUN)
@@ -28,15 +28,15 @@ class LabCamera(Camera):
 
     def texture(self, material):
         rng = np.random.default_rng(sum(material.encode()))
-        if material == "wall":  # pale plaster with a dark band at its foot and door frames
+        if material == "wall":  # pale plaster with a dark skirting board and door frames
             colour = np.array((206, 204, 190)) + rng.normal(0, 3, (PERIOD, ABOVE, 1))
-            colour[V < 4] = (92, 90, 88)  # a skirting of 10 cm
-            colour[U < 2] -= 40  # an edge each 1.2 m
-        elif material == "brick":  # shelves, 30 cm high, with books, their backs of many colours
-            backs = rng.uniform(40, 170, (PERIOD // 2, ABOVE // 12 + 1, 3))
-            colour = backs[U // 2, V // 12] + rng.normal(0, 5, (PERIOD, ABOVE, 1))
-            colour[V % 12 == 0] = (120, 98, 74)  # boards
-        else:  # wood: cartons of 30 cm with a strip of tape across
+            colour[V < 4] = (92, 90, 88)  # a skirting board 10 cm high
+            colour[U < 2] -= 40  # the edge of a door frame every 1.2 m
+        elif material == "brick":  # shelves 30 cm high, books with spines of many colours
+            spines = rng.uniform(40, 170, (PERIOD // 2, ABOVE // 12 + 1, 3))
+            colour = spines[U // 2, V // 12] + rng.normal(0, 5, (PERIOD, ABOVE, 1))
+            colour[V % 12 == 0] = (120, 98, 74)  # the shelf boards
+        else:  # wood: cartons of 30 cm, each with a strip of tape
             colour = np.array((168, 138, 98)) + rng.normal(0, 5, (PERIOD, ABOVE, 1))
             colour[(V % 12 == 5) | (V % 12 == 6)] = (196, 180, 140)
             colour[(U % 12 == 0) | (V % 12 == 0)] -= 50
@@ -44,8 +44,8 @@ class LabCamera(Camera):
 
 
 class DrawnCamera(LabCamera):
-    """A camera in a room that looks like nobody knows what: each material has a pattern of the
-    simulation or blocks, in other colours, and the light is another one, by a seed."""
+    """The camera in a room with a random appearance, drawn from a seed: each material has a pattern
+    of the simulation or random blocks, in random colours; the light is random too."""
 
     def __init__(self, scenes, seed):
         rng = np.random.default_rng(seed)
@@ -59,7 +59,7 @@ class DrawnCamera(LabCamera):
 
     def texture(self, material):
         rng = np.random.default_rng([self.seed, MATERIALS.index(material)])
-        if rng.random() < 0.5:  # blocks, each of a colour of its own, of a size that is drawn, too
+        if rng.random() < 0.5:  # blocks of a random size, each in a random colour
             long, high = rng.integers(1, 16, 2, endpoint=True)  # [texel] up to 40 cm
             colours = rng.uniform(40, 230, (PERIOD // long + 1, ABOVE // high + 1, 3))
             pattern = colours[U // long, V // high]
@@ -70,14 +70,14 @@ class DrawnCamera(LabCamera):
 
 
 class Cameras:
-    """A camera for each appearance. Like render.Camera, its `render` takes indices into scenes."""
+    """One camera per appearance. `render` takes indices into scenes, like that of render.Camera."""
 
     def __init__(self, scenes, appearance_of):
-        """appearance_of: an array with an entry for each scene, which may change: "simulation",
-        "lab" or the seed of a DrawnCamera."""
+        """appearance_of: an array with one entry per scene, which the caller may change:
+        "simulation", "lab" or the seed of a DrawnCamera."""
         self.scenes = scenes
         self.appearance_of = appearance_of
-        self.cameras = {}  # appearance -> camera, of those that occurred
+        self.cameras = {}  # appearance -> camera, made on first use
 
     def render(self, scene_of, poses, targets):
         images = np.empty((len(poses), H, W, 3), np.uint8)

@@ -1,5 +1,5 @@
-"""The evaluation with a robot's errors: `python -m robot.evaluate pretrained/lab.safetensors
---ring` evaluates as `python -m evaluation` does, in an environment with the errors of its room."""
+"""Evaluation with a robot's errors: `python -m robot.evaluate pretrained/lab.safetensors --ring`
+does what `python -m evaluation` does, in an environment with the errors of the room."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Options(evaluation.Options):
 
 
 def main(argv=None):
-    """The command line."""
+    """Runs the command line."""
     evaluation.main(argv, Options)
 
 

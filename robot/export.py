@@ -1,5 +1,8 @@
-"""A policy as a file for a robot that has no torch: `python -m robot.export
+"""Exports a policy to a file for a robot without torch: `python -m robot.export
 pretrained/any-room.safetensors policy.onnx`. It needs `robot/requirements.txt`."""
+
+import logging
+import warnings
 
 import torch
 from torch import nn
@@ -11,20 +14,19 @@ from support.runs import RunError, write
 from support.weights import load_model
 
 OPTIONS = {
-    "run": option("", "a run's folder, or a file of weights such as "
-                  "pretrained/any-room.safetensors", positional=True),
-    "file": option("policy.onnx", "where it goes", positional=True)}
+    "run": option("", "folder of a run, or a weights file", positional=True),
+    "file": option("policy.onnx", "output file", positional=True)}
 
 
 class Step(nn.Module):
-    """One step of one robot by a model.Network, without what is only for training."""
+    """One step of a model.Network for one robot, without the parts that only training needs."""
 
     def __init__(self, network):
         super().__init__()
         self.network = network
 
     def forward(self, image, target, velocity, last_reward, memory):
-        """Returns the action (2,) and the memory after it. A blanked input is multiplied by 0."""
+        """Returns the action (2,) and the new memory. A blanked input is multiplied by 0."""
         network = self.network
         colours = image.permute(2, 0, 1)[None] * float(network.without != "image")
         features = network.cnn((colours - IMAGE_MEAN) / IMAGE_SCALE)  # (1, FEATURES)
@@ -38,21 +40,21 @@ class Step(nn.Module):
 
 
 def as_onnx(network):
-    """Returns the content of an ONNX file of that model.Network, bytes.
-
-    Its inputs: `image` (48, 64, 3) uint8, and as 32-bit floats `target` (2,) [m, rad], `velocity`
-    (2,) [m/s, rad/s], `last_reward` (1,), `memory` (layers, 2, 256), zeros when an episode begins.
-    Its outputs: `action` (2,), the mean, as fractions of the maximum velocities, `next_memory`.
-    """
+    """Returns a model.Network as the bytes of an ONNX file. Inputs: `image` (48, 64, 3) uint8 and,
+    as 32-bit floats, `target` (2,) [m, rad], `velocity` (2,) [m/s, rad/s], `last_reward` (1,) and
+    `memory` (layers, 2, 256), zeros when an episode begins. Outputs: `action` (2,), the mean action
+    as fractions of the maximum velocities, and `next_memory`."""
     zeros = (torch.zeros(H, W, 3, dtype=torch.uint8), torch.zeros(2), torch.zeros(2),
              torch.zeros(1), network.initial_state(1)[0])
-    program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
-                                output_names=("action", "next_memory"))
+    logging.getLogger("torch.onnx").setLevel("ERROR")  # hides 'torchvision is not installed'
+    with warnings.catch_warnings(action="ignore"):  # PyTorch warns about its own code
+        program = torch.onnx.export(Step(network).eval(), zeros, dynamo=True, verbose=False,
+                                    output_names=("action", "next_memory"))
     return program.model_proto.SerializeToString()
 
 
 def main(argv=None):
-    """The command line."""
+    """Runs the command line."""
     options, parser = parse(OPTIONS, "Export a policy to ONNX.", argv)
     try:
         network, _ = load_model(options.run)
@@ -60,7 +62,7 @@ def main(argv=None):
     except (RunError, OSError) as error:
         parser.error(error)
     except ImportError as error:
-        parser.error(f"there is no library '{error.name}': pip install -r robot/requirements.txt")
+        parser.error(f"package '{error.name}' is missing: pip install -r robot/requirements.txt")
     print(f"wrote {options.file}")
 
 

@@ -1,4 +1,4 @@
-"""The lab as a Robot: one robot of the simulated world, with the interface of a real one."""
+"""The lab as a Robot: one robot in the simulated real room, with the interface of a real one."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from sim import CONTROL_PERIOD
 
 class LabRobot:
     """A Robot that drives in a Scene. Its clock runs only in `sleep_until`. After an arrival or a
-    collision, by its true pose, it stands, and measures what it measured last."""
+    collision, by its true pose, it stands still and repeats its last measurements."""
 
     def __init__(self, scene, target, seed=0):
-        """target: an index into `scene.targets`, where the cube stands."""
+        """target: an index into `scene.targets`, the position of the cube."""
         self.env = RealVecEnv(1, [scene], "both", max_episode_steps=-1)
         seen, _ = self.env.reset(seed=seed, options={"target": target})
         self.goal = self.env.goals[0].copy()
@@ -25,9 +25,9 @@ class LabRobot:
         self._sense(seen["image"][0], self.env.estimates[0])
 
     def _sense(self, image, estimate):
-        """Takes what the sensors measure now. estimate: the pose (3,) by odometry."""
+        """Measures with all sensors. estimate: the pose (3,) by odometry."""
         age = 0
-        if not self.outcome:  # otherwise the world is the next episode's
+        if not self.outcome:  # otherwise the world already holds the next episode
             age = CONTROL_PERIOD * (self.env.is_late[0] and self._periods > 0)
             [self._readings] = ring.listen(self.env.world)
         self._image = Stamped(image.copy(), self.now() - age)
@@ -45,7 +45,7 @@ class LabRobot:
             seen, _, [terminated], _, infos = self.env.step(action[None])
             self.true_poses.append(infos["pose"][0])
             estimate = self.env.estimates[0]
-            if terminated:  # the environment has begun another episode, which is not ours
+            if terminated:  # the environment has already begun the next episode
                 end = infos["final_info"]
                 self.outcome = self.env.outcomes[end["outcome"][0]]
                 seen = infos["final_obs"]

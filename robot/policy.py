@@ -1,16 +1,16 @@
 """Policies for `robot.robot.drive`: a network, or its ONNX file for a robot without torch. `act`
-returns the mean action (2,) of one robot for what it sees, a dict of arrays."""
+takes the observation of one robot, a dict of arrays, and returns the mean action (2,)."""
 
 import numpy as np
 
 
 class TorchPolicy:
-    """A `model.Network`."""
+    """A policy from a `model.Network`."""
 
     def __init__(self, network):
-        import torch  # here, because an ONNX file does without
+        import torch  # here, because OnnxPolicy works without it
         self.network = network
-        self.generator = torch.Generator()  # of samples, which are not used
+        self.generator = torch.Generator()  # for samples, which are not used
         self.reset()
 
     def reset(self):
@@ -23,11 +23,11 @@ class TorchPolicy:
 
 
 class OnnxPolicy:
-    """A file that `robot.export` has written, by numpy and onnxruntime."""
+    """A policy from a file written by `robot.export`. It needs only numpy and onnxruntime."""
 
     def __init__(self, content):
-        """content: of an ONNX file, or its path."""
-        import onnxruntime  # here, because a network does without
+        """content: the bytes of an ONNX file, or its path."""
+        import onnxruntime  # here, because TorchPolicy works without it
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         self.session = onnxruntime.InferenceSession(content, options)

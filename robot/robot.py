@@ -1,7 +1,7 @@
-"""What a robot has to offer, so that a policy can drive it, and the loop that does. Between the
-policy and the wheels stand the ring, which refuses to drive on if the way may be blocked, and the
-watchdog, which stops the wheels while a measurement is missing or old. The lab is a Robot, too
-(robot/lab.py); docs/robot.md has one behind ROS 2."""
+"""The interface of a real robot, and the loop in which a policy drives it. Between policy and
+wheels, the ring refuses forward motion if the path may be blocked, and the watchdog stops the
+wheels while a measurement is missing or old. Two implementations: robot/lab.py (simulated) and
+robot/ros_adapter.py (ROS 2)."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
@@ -14,53 +14,53 @@ from render import H, W
 from robot.ring import SENSORS, is_blocked
 from sim import ARRIVAL_DISTANCE, CONTROL_PERIOD
 
-WATCHDOG = 2 * CONTROL_PERIOD + 1e-6  # [s] what is older counts as missing
+WATCHDOG = 2 * CONTROL_PERIOD + 1e-6  # [s] an older measurement counts as missing
 
 
 class Stamped(NamedTuple):
-    """What a sensor measured, and when [s], by the robot's own clock."""
+    """A measurement and its time [s], by the robot's own clock."""
     value: object
     time: float
 
 
 class Robot(Protocol):
-    """What a robot of your own has to offer. A sensor returns None before its first value."""
+    """The methods that a robot needs. A sensor returns None before its first measurement."""
 
     def now(self):
-        """Returns the time [s], by the clock of all its time stamps, which is never set."""
+        """Returns the time [s] of the monotonic clock that all its time stamps use."""
 
     def sleep_until(self, time):
-        """Waits until that time [s]."""
+        """Waits until this time [s]."""
 
     def image(self):
         """Returns the last image, Stamped: (48, 64, 3) uint8 RGB."""
 
     def odometry(self):
-        """Returns the last pose by odometry, Stamped: x [m], y [m], theta [rad] from anywhere."""
+        """Returns the last pose by odometry, Stamped: x [m], y [m], theta [rad], any origin."""
 
     def ranges(self):
-        """Returns the last 24 readings [m], Stamped: from the rim, counter-clockwise from ahead."""
+        """Returns 24 range readings [m], Stamped: from the rim, counter-clockwise from ahead."""
 
     def send(self, linear, angular):
-        """Sends the wheels a velocity [m/s, rad/s], which holds until the next."""
+        """Sends velocities [m/s, rad/s] to the wheels. They hold until the next call."""
 
 
 @dataclass
 class Drive:
-    """How a drive went, period by period."""
+    """Record of a drive, period by period."""
     outcome: str = "timeout"  # or "arrival", by odometry
     poses: list = field(default_factory=list)  # by odometry, (3,) each
-    readings: list = field(default_factory=list)  # of the ring, (SENSORS,) each; NaN without one
+    readings: list = field(default_factory=list)  # from the ring, (SENSORS,) each; NaN if missing
     stops: int = 0  # periods in which the ring refused forward motion
     waits: int = 0  # periods in which the watchdog stopped the wheels
 
 
 def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
-    """Drives a Robot until its odometry says that it has arrived at the goal (x, y) [m], or for
-    this many control periods. Returns a Drive. Raises ValueError for an invalid goal.
+    """Drives a Robot until it arrives at the goal (x, y) [m] by odometry, or for at most this many
+    control periods. Returns a Drive. Raises ValueError for an invalid goal. Stops the wheels at the
+    end, also after an exception.
 
-    policy: its `reset()` begins an episode, its `act(observation)` returns an action (2,). The
-    wheels stand when this ends, however it ends."""
+    policy: its `reset()` begins an episode, its `act(observation)` returns an action (2,)."""
     place = np.array(goal, dtype=float)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise ValueError(f"goal is {goal!r}, it must be two finite numbers, x and y [m]")
@@ -68,7 +68,7 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
     policy.reset()
     command = np.zeros(2)
     reward = 0.0
-    before = None  # [m] distance to the goal a period ago
+    before = None  # [m] distance to the goal one period earlier
     try:
         due = robot.now()
         for _ in range(periods):
@@ -96,9 +96,9 @@ def drive(robot, policy, goal, periods=MAX_EPISODE_STEPS):
 
 
 def obey(robot, action, log):
-    """Sends the wheels what watchdog and ring leave of an action (2,). Returns the command (2,)."""
+    """Sends the wheels an action (2,), limited by watchdog and ring. Returns the command (2,)."""
     command = np.clip(action, LOWEST_ACTION, HIGHEST_ACTION) * MAX_COMMAND
-    image, _ = image_and_pose(robot)  # what the policy saw may be out of date by now
+    image, _ = image_and_pose(robot)  # what the policy saw may be too old by now
     if image is None or not np.isfinite(command).all():
         log.waits += 1
         robot.send(0.0, 0.0)
@@ -113,7 +113,7 @@ def obey(robot, action, log):
 
 
 def image_and_pose(robot):
-    """Returns the robot's last image and pose (3,). If one is not valid now, the image is None."""
+    """Returns the robot's last image and pose (3,). If either is invalid, the image is None."""
     image = fresh(robot, robot.image(), np.zeros(0))
     pose = np.array(fresh(robot, robot.odometry(), np.full(3, np.nan)), dtype=float)
     is_image = image.shape == (H, W, 3) and image.dtype == np.uint8
@@ -121,6 +121,6 @@ def image_and_pose(robot):
 
 
 def fresh(robot, stamped, missing):
-    """Returns the value of a Stamped, or `missing` if it is None, too old or of the future."""
+    """Returns the value of a Stamped, or `missing` if it is None, too old or from the future."""
     is_fresh = stamped is not None and 0 <= robot.now() - stamped.time <= WATCHDOG
     return stamped.value if is_fresh else missing

@@ -1,4 +1,4 @@
-"""Claims about a robot's errors, and about what drives it."""
+"""Tests of the robot's errors, of the ring, and of the loop that drives the robot."""
 
 import math
 import subprocess
@@ -28,18 +28,18 @@ FLOOR = Scene("floor", tuple(walls(12.0, 12.0)), (0.0, 0.0, 0.0), ((3.0, 0.0),),
 
 
 def real(scene=PLAIN, **errors):
-    """Returns a room with those errors."""
+    """Returns the room with these errors."""
     return replace(scene, reality=Reality(**errors))
 
 
 def started(scene, R=4, environment=RealVecEnv):
-    """Returns an environment whose robots stand at the start pose, and what they see."""
+    """Returns an environment after a reset, and its first observations."""
     env = environment(R, [scene], "training")
     return env, env.reset(seed=0)[0]
 
 
-def heard():
-    """Returns reachable poses (150, 3), the first one too near to a wall, and what is heard."""
+def poses_and_readings():
+    """Returns reachable poses (150, 3), the first one too close to a wall, and the readings."""
     rng = np.random.default_rng(0)
     places = PLAIN.reachable[rng.integers(len(PLAIN.reachable), size=150)]
     poses = np.column_stack([places, rng.uniform(-3, 3, 150)])
@@ -49,7 +49,7 @@ def heard():
     return poses, ring.listen(world)
 
 
-def test_without_knobs_reality_is_the_simulation_and_a_late_image_is_the_one_before():
+def test_no_errors_give_the_simulation_and_a_late_image_is_one_period_old():
     one, first = started(PLAIN, environment=NavVecEnv)
     other, second = started(PLAIN)
     late, third = started(real(image_delay=1.0))
@@ -65,7 +65,7 @@ def test_without_knobs_reality_is_the_simulation_and_a_late_image_is_the_one_bef
     assert environment_of([PLAIN]) is NavVecEnv and environment_of([PLAIN, LAB]) is RealVecEnv
 
 
-def test_the_lab_is_registered_with_its_errors_and_a_robot_does_without_torch():
+def test_the_lab_is_registered_with_its_errors_and_needs_no_torch():
     env = gymnasium.make("robot:NavBot-lab-v0")
     env.reset(seed=0)
     assert env.unwrapped.vector.exposure == LAB.reality.exposure
@@ -75,7 +75,7 @@ def test_the_lab_is_registered_with_its_errors_and_a_robot_does_without_torch():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_each_wheel_turns_by_its_own_gain_and_a_policy_is_shown_what_it_asked_for():
+def test_each_wheel_has_its_gain_and_the_observed_velocity_is_the_commanded_one():
     env, _ = started(real(wheel_gains=(1.1, 0.9)), R=1)
     seen, _, _, _, infos = env.step(np.array([[0.5, 0.7]]))
     assert np.allclose(seen["velocity"], (0.15, 0.7))
@@ -84,7 +84,7 @@ def test_each_wheel_turns_by_its_own_gain_and_a_policy_is_shown_what_it_asked_fo
     assert infos["command"][0] == pytest.approx([(left + right) / 2, (right - left) / 0.23])
 
 
-def test_odometry_drifts_by_the_distance_driven_and_by_the_angle_turned():
+def test_odometry_drifts_with_distance_and_angle():
     env, _ = started(real(FLOOR, distance_drift=0.1, turn_drift=0.2), R=2)
     drift = env._drift.copy()
     distance, turn = drift.T
@@ -99,7 +99,7 @@ def test_odometry_drifts_by_the_distance_driven_and_by_the_angle_turned():
     assert np.allclose(env.estimates, env.world.poses) and (env._drift != drift).all()
 
 
-def test_a_camera_that_looks_up_sees_all_rows_lower():
+def test_a_camera_that_is_tilted_up_sees_all_rows_lower():
     images = np.random.default_rng(0).uniform(0, 255, (1, 48, 64, 3)).astype(np.float32)
     [half] = shift_rows(images, np.array([0.5]))
     assert np.allclose(half[1:], (images[0, 1:] + images[0, :-1]) / 2, atol=1e-3)
@@ -108,21 +108,21 @@ def test_a_camera_that_looks_up_sees_all_rows_lower():
     assert np.abs(seen["image"][:, 3:].astype(int) - plain["image"][:, :-3]).max() <= 1
 
 
-def test_exposure_white_balance_and_yaw_are_as_large_as_they_say():
+def test_exposure_white_balance_and_yaw_have_their_nominal_size():
     env, seen = started(real(exposure=0.8, white_balance=(1.1, 1.0, 0.9), camera_yaw=0.1), R=1)
     turned = env.world.poses + (0, 0, 0.1)
     painted = env.camera.render(env.scene_of, turned, env.goals) * 0.8 * np.array([1.1, 1.0, 0.9])
     assert np.abs(seen["image"] - painted).max() <= 0.51
 
 
-def test_a_room_that_looks_otherwise_has_the_same_shapes():
+def test_a_different_appearance_has_the_same_shapes():
     plain, lab = [started(real(appearance=name))[1]["image"] for name in ("simulation", "lab")]
     floor = (plain == (118, 118, 118)).all(-1)
     assert np.array_equal(floor, (lab == (134, 112, 84)).all(-1)) and floor.mean() > 0.1
     assert (plain != lab).mean() > 0.9
 
 
-def test_drawn_errors_are_within_what_a_file_may_hold_and_new_in_every_episode():
+def test_random_errors_are_valid_and_new_in_every_episode():
     env, seen = started(PLAIN, R=3, environment=RandomVecEnv)
     exposure = env.exposure.copy()
     again, _ = env.reset()
@@ -135,49 +135,49 @@ def test_drawn_errors_are_within_what_a_file_may_hold_and_new_in_every_episode()
         assert values.min() >= item.metadata["low"] and values.max() <= item.metadata["high"]
 
 
-def test_the_last_reward_is_by_odometry_and_a_subclass_may_pay_another_one():
-    class Dearer(RealVecEnv):
+def test_the_observed_reward_is_by_odometry_and_a_subclass_may_change_it():
+    class TripleReward(RealVecEnv):
         def reward(self, before, after, arrived, failed):
             return 3 * super().reward(before, after, arrived, failed)
 
-    env, seen = started(real(distance_drift=0.3), environment=Dearer)
+    env, seen = started(real(distance_drift=0.3), environment=TripleReward)
     differs = False
     for step in np.tile([1.0, 0.2], (30, 4, 1)):  # into a wall
         before = seen["target"][:, 0].astype(float)
-        seen, paid, ended, _, infos = env.step(step)
+        seen, rewards, ended, _, infos = env.step(step)
         believed = 3 * (100 * (before - seen["target"][:, 0]) - STEP_COST)
         assert np.allclose(seen["last_reward"][~ended, 0], believed[~ended], atol=4e-3)
-        differs |= np.abs(paid - believed)[~ended].max(initial=0) > 0.5
-        if ended.any():  # an end is felt
+        differs |= np.abs(rewards - believed)[~ended].max(initial=0) > 0.5
+        if ended.any():  # then the true reward is observed
             break
     assert differs and set(infos["final_obs"]["last_reward"][ended, 0]) == {3 * COLLISION_REWARD}
 
 
-def swept(thing, command):
-    """Returns how near [m] a robot that obeys a command comes to a thing, by many small steps.
-    Places are complex numbers, x + iy [m]."""
+def closest(obstacle, command):
+    """Returns the smallest distance [m] of a robot that executes a command from an obstacle, in
+    many small steps. Positions are complex numbers, x + iy [m]."""
     dt = (CONTROL_PERIOD + ring.LONGER) / 2000
     steps = command[0] * dt * np.exp(1j * command[1] * dt * np.arange(1, 2001))
-    return min(abs(thing), np.abs(thing - steps.cumsum()).min())
+    return min(abs(obstacle), np.abs(obstacle - steps.cumsum()).min())
 
 
 @pytest.mark.parametrize("command", [(0.3, 0.0), (0.3, 0.9), (0.3, -0.9), (0.05, 0.5)])
-def test_a_sensor_ahead_blocks_a_way_that_comes_too_near_or_if_it_has_no_reading(command):
+def test_the_ring_blocks_near_obstacles_ahead_and_missing_readings(command):
     for sensor, angle in enumerate(ring.ANGLES):
         for away in (np.nan, -1.0, 0.0, 0.01, 0.03, 0.06, 0.12, 0.2):
             readings = np.full(ring.SENSORS, ring.RANGE)
             readings[sensor] = away
             r = ROBOT_RADIUS + away
-            nearest = swept(r * np.exp(1j * angle), command)
+            nearest = closest(r * np.exp(1j * angle), command)
             if abs(nearest - ROBOT_RADIUS - ring.BESIDE) < 2e-3 or abs(nearest - r) < 1e-4:
-                continue  # too near to either limit for this twin to tell
+                continue  # too close to a limit for this approximation
             blocks = not away > 0 or nearest < min(ROBOT_RADIUS + ring.BESIDE, r)
             expected = blocks and math.cos(angle) > 1e-9
             assert ring.is_blocked(readings, command) == expected, (sensor, away)
 
 
-def test_the_ring_hears_the_nearest_thing_in_a_cone_unless_it_is_too_near():
-    poses, all_readings = heard()
+def test_a_reading_is_the_nearest_obstacle_in_the_cone_outside_the_blind_zone():
+    poses, all_readings = poses_and_readings()
     assert np.isnan(all_readings[0, 0])
     r = np.linspace(0, ring.RANGE + ROBOT_RADIUS, 2000)
     for pose, readings in zip(poses[:6], all_readings):
@@ -190,7 +190,7 @@ def test_the_ring_hears_the_nearest_thing_in_a_cone_unless_it_is_too_near():
                 assert reading == pytest.approx(nearest - ROBOT_RADIUS, abs=2e-3)
 
 
-def test_the_ring_refuses_no_turn_and_ten_seconds_without_motion_ahead_end_an_episode():
+def test_the_ring_allows_turns_and_standing_for_ten_seconds_ends_an_episode():
     before_a_wall = (-3.71 + 0.075 + ROBOT_RADIUS + 0.03, -2.9, math.pi)  # 3 cm
     env, _ = started(LAB, R=1, environment=RingVecEnv)
     env.reset(options={"start": before_a_wall, "target": 0})
@@ -203,7 +203,7 @@ def test_the_ring_refuses_no_turn_and_ten_seconds_without_motion_ahead_end_an_ep
 
 
 class Ahead:
-    """A policy that drives to the target, blind to walls, and keeps what it saw."""
+    """A policy that drives to the target, ignores walls and records its observations."""
 
     def reset(self):
         self.seen = []
@@ -215,7 +215,7 @@ class Ahead:
 
 
 class Faulty(LabRobot):
-    """The lab's robot, with a sensor that gives `fault(value, period)`. `sent` keeps commands."""
+    """A LabRobot with a sensor that returns `fault(value, period)`. `sent` records commands."""
 
     def __init__(self, sensor="image", fault=lambda value, period: value):
         super().__init__(real(LAB, appearance="lab"), 4)
@@ -228,7 +228,7 @@ class Faulty(LabRobot):
         super().send(linear, angular)
 
 
-def test_a_policy_drives_the_lab_to_its_target_and_sees_what_it_would_see_in_the_simulation():
+def test_a_policy_reaches_the_target_and_has_the_observations_of_the_simulation():
     robot = Faulty("image", lambda true, period: true._replace(time=true.time - 0.8))
     policy = Ahead()
     log = drive(robot, policy, robot.goal)
@@ -246,19 +246,19 @@ def test_a_policy_drives_the_lab_to_its_target_and_sees_what_it_would_see_in_the
 @pytest.mark.parametrize("broken", [
     lambda true: None, lambda true: true._replace(value=true.value * np.nan),
     lambda true: true._replace(time=1e9), lambda true: true._replace(time=true.time - 0.81)])
-def test_without_a_valid_measurement_no_robot_drives_ahead_until_it_comes(sensor, broken):
+def test_the_robot_moves_forward_only_with_valid_measurements(sensor, broken):
     robot = Faulty(sensor, lambda true, period: broken(true) if period < 3 else true)
     log = drive(robot, Ahead(), robot.goal, periods=6)
     assert [linear > 0 for linear, _ in robot.sent] == [False] * 3 + [True] * 3 + [False]
     assert (log.stops, log.waits) == ((3, 0) if sensor == "ranges" else (0, 3))
     turns = any(angular != 0 for _, angular in robot.sent[:3])
-    assert turns == (sensor == "ranges")  # the ring refuses no turn
+    assert turns == (sensor == "ranges")  # the ring allows turns
 
 
-@pytest.mark.parametrize("action, thinks", [((1.0, np.nan), 0), ((1.0, 0.0), 3)])
-def test_an_action_that_is_not_a_number_or_comes_too_late_never_gets_to_the_wheels(action, thinks):
+@pytest.mark.parametrize("action, delay", [((1.0, np.nan), 0), ((1.0, 0.0), 3)])
+def test_an_invalid_or_late_action_does_not_reach_the_wheels(action, delay):
     def act(_):
-        robot._periods += thinks  # pass while it thinks
+        robot._periods += delay  # the policy takes this long
         return np.array(action)
 
     robot = Faulty()
@@ -266,16 +266,16 @@ def test_an_action_that_is_not_a_number_or_comes_too_late_never_gets_to_the_whee
     assert set(robot.sent) == {(0, 0)} and log.waits == 3
 
 
-def test_a_goal_that_is_not_a_place_is_refused():
+def test_an_invalid_goal_is_refused():
     with pytest.raises(ValueError, match="must be two finite numbers"):
         drive(Faulty(), Ahead(), (np.nan, 0.0))
 
 
-def test_a_late_robot_does_not_catch_up_and_whatever_ends_a_drive_stops_the_wheels():
+def test_a_late_robot_does_not_catch_up_and_an_exception_stops_the_wheels():
     def act(_):
         if robot.now() > 3:
             raise KeyboardInterrupt
-        robot._periods = max(robot._periods, 5)  # the first time it thinks for five periods
+        robot._periods = max(robot._periods, 5)  # the first action takes five periods
         return np.array([0.3, 0.0])
 
     robot = Faulty()
@@ -284,9 +284,9 @@ def test_a_late_robot_does_not_catch_up_and_whatever_ends_a_drive_stops_the_whee
     assert robot.sent[-1] == (0, 0) and robot.sent[-2] != (0, 0) and len(robot.sent) == 6
 
 
-def test_a_map_is_free_on_the_floor_and_occupied_at_the_walls():
+def test_the_map_is_free_on_the_floor_and_occupied_at_the_walls():
     grid = OccupancyGrid(PLAIN.bounds)
-    for pose, readings in zip(*heard()):
+    for pose, readings in zip(*poses_and_readings()):
         grid.add(pose, readings)
     clearance = PLAIN.clearance(grid.centres)
     known = grid.log_odds != 0

@@ -1,4 +1,4 @@
-"""Claims about training and evaluation in the lab."""
+"""Tests of training and evaluation in the lab."""
 
 import json
 import shutil
@@ -24,14 +24,14 @@ SMALL = {"robots": 4, "episodes_per_update": 4, "minibatches": 1, "epochs": 1}
 
 
 def training(**options):
-    """Returns a small training, at the beginning of its first stage."""
+    """Returns a small Training at the start of its first stage."""
     config = Config(**SMALL | options)
     made = Training(config, load_rooms(config))
     made.begin_stage()
     return made
 
 
-def test_a_training_begins_with_eyes_and_memory_of_the_weights_that_it_is_given():
+def test_init_keeps_all_layers_except_the_last_ones():
     given, _ = load_model(ENV2_WEIGHTS)
     begun = training(init=ENV2_WEIGHTS).model.state_dict()
     fresh = make_network(0).state_dict()
@@ -46,12 +46,12 @@ def test_a_training_begins_with_eyes_and_memory_of_the_weights_that_it_is_given(
     ({"env": "env2", "reality": "random"}, RandomVecEnv, {"env2", "env2-mirrored"}),
     ({"env": "random", "targets": "anywhere", "robots": 2, "ring": True, "reality": "random"},
      RandomRingVecEnv, {"random-1000000", "random-1"})])
-def test_a_room_has_its_own_environment_and_a_real_one_no_mirror(options, environment, rooms):
+def test_options_choose_the_environment_and_the_lab_is_not_mirrored(options, environment, rooms):
     env = training(**options).env
     assert type(env) is environment and {scene.name for scene in env.scenes} == rooms
 
 
-def test_a_training_ends_after_its_episodes_and_its_learning_rate_shrinks_by_them():
+def test_training_ends_after_its_episodes_and_the_learning_rate_follows_them():
     run = training(episodes=12, steps=10 ** 6, fixed_budget=True, learning_rate=1.0)
     train(run)
     assert 12 <= run.episodes < 12 + 4 + 4 and run.steps < 10 ** 5
@@ -60,7 +60,7 @@ def test_a_training_ends_after_its_episodes_and_its_learning_rate_shrinks_by_the
     assert run.optimizer.param_groups[0]["lr"] == pytest.approx(0.25)
 
 
-def test_a_run_resumes_with_its_own_options_and_is_evaluated_as_it_learned(tmp_path):
+def test_a_run_resumes_with_its_options_and_is_evaluated_with_the_ring(tmp_path):
     given = tmp_path / "given.safetensors"
     shutil.copy(ENV2_WEIGHTS, given)
     folder = tmp_path / "run"
@@ -80,11 +80,11 @@ def test_a_run_resumes_with_its_own_options_and_is_evaluated_as_it_learned(tmp_p
 
 
 @pytest.mark.parametrize("arguments, words", [
-    (["--reality", "random"], "with --env lab it must be left out"),
+    (["--reality", "random"], "does not work with --env lab"),
     (["--init", "nowhere"], "run 'nowhere' does not exist"),
     (["--init", ENV2_WEIGHTS, "--memory", "single"], "was trained with --memory stacked"),
     (["--env", "nowhere"], "unknown scene 'nowhere'"), (["--episodes", "-1"], "--episodes")])
-def test_what_cannot_begin_is_one_sentence(arguments, words, capsys, tmp_path, monkeypatch):
+def test_invalid_options_give_an_error_of_one_line(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as stop:
         main(arguments)

@@ -1,5 +1,5 @@
-"""Training in the lab, and for it: `python -m robot.train --ring --init pretrained/env2.safetensors
---episodes 3000` trains as `train.py` does, in an environment with a robot's errors."""
+"""Training in the lab or for it: `python -m robot.train --ring --init pretrained/env2.safetensors
+--episodes 3000` does what `train.py` does, in an environment with a robot's errors."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,18 +17,18 @@ from support.weights import load_model
 @dataclass
 class Config(train.Config):
     """A training run with a robot's errors."""
-    env: str = option("lab", "a room's name or file, random:7 (one random room), or random (many)")
-    init: str = option("", "weights to begin with: a run's folder or a file")
+    env: str = option("lab", "name or file of the room, random:7 (one random room), random (many)")
+    init: str = option("", "initial weights: folder of a run, or a weights file")
     ring: bool = option(False, "ultrasonic sensors stop the robot, as on the paper's robot")
-    reality: str = option("", "random: the robot's errors are drawn anew in each episode; by "
-                          "default they are as the room's file says", choices=("", "random"))
-    episodes: int = option(0, "of all robots, at most; 0: only the steps count", 0, 10 ** 9)
+    reality: str = option("", "random: draw the robot's errors in each episode; by default "
+                          "they are those of the room's file", choices=("", "random"))
+    episodes: int = option(0, "maximum number of episodes of all robots; 0: no limit", 0, 10 ** 9)
 
 
 class Training(train.Training):
-    """A Training in the environment that its rooms and options ask for."""
+    """A Training in the environment for its rooms and options."""
 
-    environment = RealVecEnv  # which accepts all rooms
+    environment = RealVecEnv  # accepts all rooms
 
     def __init__(self, config, scenes):
         self.environment = environment_of(scenes, config.ring, config.reality)
@@ -47,29 +47,28 @@ class Training(train.Training):
 
 
 def kept_weights(config):
-    """Returns what a training keeps of the weights that `config.init` names, by name; {} if it
-    names none, or if the run resumes at a checkpoint. The last layers and the standard deviations
-    begin anew: a robot that stands still, sure of itself in a room of another look, would learn
-    next to nothing. Raises RunError."""
+    """Returns the weights of `config.init` that training keeps, by name; {} if empty or if the run
+    resumes. The last layers and the standard deviations start from scratch: in a room that looks
+    different the robot might stand still, with too little noise to learn. Raises RunError."""
     if not config.init or (config.resume and Path(config.resume, CHECKPOINT).exists()):
         return {}
     given, _ = load_model(config.init)
     if (given.memory, given.without) != (config.memory, config.without):
         raise RunError(f"--init '{config.init}' was trained with --memory {given.memory} and "
-                       f"--without '{given.without}': give the same ones")
+                       f"--without '{given.without}': use the same options")
     return {name: value for name, value in given.state_dict().items()
             if name.split(".")[0] in ("cnn", "memories", "dense")}
 
 
 def main(argv=None):
-    """The command line: checks the given weights, then trains as `train.py` does."""
-    config, parser = parse(Config, "Train a robot to navigate in spite of its errors.", argv)
+    """Runs the command line: checks the initial weights, then trains as `train.py` does."""
+    config, parser = parse(Config, "Train a robot to navigate despite its errors.", argv)
     try:
         if not config.resume:
             kept_weights(config)
             if config.reality and any(scene.reality for scene in load_rooms(config)):
-                raise RunError(f"--reality is {config.reality}, with --env {config.env} it must be "
-                               "left out: the room's file says what the robot's errors are")
+                raise RunError(f"--reality {config.reality} does not work with --env {config.env}: "
+                               "the room's file lists the robot's errors")
     except (RunError, SceneError) as error:
         parser.error(error)
     train.main(argv, Config, Training)
