@@ -1,4 +1,4 @@
-# Each target makes the virtual environment first, from requirements.txt.
+# Each target first creates the virtual environment from requirements.txt.
 PYTHON ?= python3
 # PyTorch's small CPU build: make train TORCH_INDEX=https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
@@ -14,22 +14,22 @@ train: .venv/installed
 demo: .venv/installed
 	$(BIN)/python navbot_min.py --env env1
 
-# Only the lesson's tests, half a minute.
+# The tests of the lesson: about 30 seconds.
 quick: .venv/installed
 	$(BIN)/python -m pytest test_all.py
 
-# Every test.
+# All tests.
 test: .venv/tests-installed
 	$(BIN)/python -m pytest
 
 evaluate: .venv/installed
 	$(BIN)/python -m evaluation $(RUN)
 
-# Trains and examines all that the tables show: hours.
+# Trains and evaluates everything that the tables report: hours.
 results: .venv/experiments-installed
 	$(BIN)/python -m experiments.results --ablations
 
-# The figures and tables again, from what the results left.
+# Makes the figures and tables from the files in results/.
 figures: .venv/experiments-installed
 	$(BIN)/python -m experiments.figures
 	$(BIN)/python -m experiments.diagrams

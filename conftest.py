@@ -1,5 +1,5 @@
-"""What holds for all tests. They share one process, in which torch keeps to one thread: its own
-threads fall apart on a busy machine. It has other threads and must not be forked."""
+"""Settings for all tests. They share one process, in which torch uses one thread: on a busy machine
+more threads waste time waiting for each other. It has other threads, so it must not be forked."""
 
 import multiprocessing
 

@@ -1,1 +1,1 @@
-"""What the lesson uses and does not teach: command line, run folders, processes, pictures."""
+"""Parts that the lesson uses but does not teach: command line, run folders, processes, pictures."""

@@ -1,4 +1,4 @@
-"""The demonstration of `python navbot_min.py`: a robot drives by a simple rule, without torch."""
+"""The demo of `python navbot_min.py`: a robot drives by a simple rule, without torch."""
 
 from sim import SceneError
 from support.cli import option, parse
@@ -7,14 +7,14 @@ from support.traces import TurnToTarget, drive
 
 
 def main(environment, argv=None):
-    """Drives six episodes and draws them to demo.png. environment: the class NavVecEnv."""
-    options, parser = parse({"env": option("env1", "a room's name or file")},
-                            "Drive a robot by the rule 'turn to the target and go'.", argv)
+    """Drives six episodes and draws them in demo.png. environment: the class NavVecEnv."""
+    options, parser = parse({"env": option("env1", "room name or file")},
+                            "Drive a robot by a rule: turn to the target and go.", argv)
     try:
         traces = drive(TurnToTarget(), environment(1, [options.env]), quota=[6], images=True)
         for k, trace in enumerate(traces):
             print(f"episode {k + 1}: {trace}")
         save(draw_demo(traces[0].scene, traces), "demo.png")
-        print("wrote demo.png: the map with the paths, and what the camera saw")
+        print("wrote demo.png: the map with the paths, and camera images")
     except (SceneError, OSError) as error:
         parser.error(error)

@@ -1,5 +1,5 @@
-"""Which room each robot of a training drives in. A given room stays. In random rooms all robots
-move on at every stage; a few drive in rooms for validation, from which no training learns."""
+"""Assigns a room to each robot of a training run. A given room stays the same. With random rooms,
+all robots change rooms at every stage, and a few drive in validation rooms, never trained on."""
 
 import functools
 from dataclasses import fields, replace
@@ -10,38 +10,38 @@ from scenes import generate
 from sim import Scene
 
 RANDOM = "random"  # the value of `--env`
-VALIDATION_ROOMS = 16  # random:0 to random:15, from which no training learns; all our choice
-FIRST_ROOM = 1_000_000  # a run of seed k learns in rooms from random:(k + 1) * FIRST_ROOM on
-DRAWS = 3  # of a start, at most, until something blocks the straight line to the goal
+VALIDATION_ROOMS = 16  # random:0 to random:15, never trained on, our choice
+FIRST_ROOM = 1_000_000  # a run with seed k trains in rooms from random:(k + 1) * FIRST_ROOM
+DRAWS = 3  # draws of a start, at most, until a box blocks the straight line to the goal, our choice
 
 
 def make_rooms(config, scenes):
-    """Returns the rooms of a training. scenes: the given rooms, or those for validation."""
+    """Returns the rooms of a run. scenes: the given rooms, or the validation rooms."""
     return (RandomRooms if config.env == RANDOM else GivenRooms)(config, scenes)
 
 
 def load_rooms(config):
-    """Returns the Scenes of a training: the given room, or those for validation. A resumed run
-    has its own copy of the room's file. Raises SceneError."""
+    """Returns the Scenes of a run: the given room, or the validation rooms. A resumed run has its
+    own copy of the room's file. Raises SceneError."""
     if config.env == RANDOM:
         return validation_scenes()
     file = scene_files.find(config.env)
     if config.resume and file is not None:
         file = Path(config.resume, file.name)
     scene = scene_files.load(file or config.env)
-    if config.targets == "memorize":  # one target, and there are no others
+    if config.targets == "memorize":  # only one target
         scene = replace(scene, training_targets=scene.training_targets[:1], new_targets=())
     return [scene]
 
 
 def validation_scenes():
-    """Returns the random rooms that no training learns from, a list of Scenes."""
+    """Returns the random rooms that no run trains on, a list of Scenes."""
     return [generate.room(k) for k in range(VALIDATION_ROOMS)]
 
 
 class TrainingRoom(Scene):
-    """A random room to learn in. Something mostly blocks the straight line from start to goal:
-    otherwise a robot soon has nothing left to learn."""
+    """A random room to train in. In most episodes a box blocks the straight line to the goal:
+    otherwise episodes soon become too easy to learn from."""
     def any_start(self, goal, rng):
         for _ in range(DRAWS):
             start = super().any_start(goal, rng)
@@ -52,13 +52,13 @@ class TrainingRoom(Scene):
 
 @functools.lru_cache(generate.MOST_KEPT)
 def training_room(number):
-    """Returns the TrainingRoom of that number. Robots of one room share it."""
+    """Returns the TrainingRoom with this number. The robots in a room share the object."""
     room = generate.room(number)
     return TrainingRoom(**{field.name: getattr(room, field.name) for field in fields(room)})
 
 
 class GivenRooms:
-    """The rooms are given. At level 2 the last robots drive in their mirror images."""
+    """Given rooms. At level 2 the last robots drive in mirrored rooms."""
 
     def __init__(self, config, scenes):
         self.scenes = scenes
@@ -72,26 +72,26 @@ class GivenRooms:
         return rooms[r % len(rooms)]
 
     def is_watched(self, r):
-        """Returns whether nothing is learned from robot r."""
+        """Returns whether robot r drives in a validation room: its episodes are not trained on."""
         return False
 
     def by_kind(self, stage):
-        """Returns the Scenes for the evaluation after training: learned in last, and others."""
+        """Returns the Scenes of the evaluation after training: the last ones, and new ones."""
         return {"training": self.scenes, "new": []}
 
 
 class RandomRooms:
-    """As GivenRooms, but at every stage all robots move on to other random rooms."""
+    """Random rooms, with the methods of GivenRooms. At every stage all robots change rooms."""
 
     def __init__(self, config, scenes):
         self.validation = scenes
         watched = max(config.robots // 16, int(config.robots > 1))  # our choice
-        self.learning = config.robots - watched  # the first robots are learned from
+        self.learning = config.robots - watched  # number of the first robots, which are trained on
         self.first_room = FIRST_ROOM * (1 + config.seed % 900)  # the highest number is 10 ** 9
-        self.rooms = config.rooms or FIRST_ROOM  # how many there are; 0: always new ones
+        self.rooms = config.rooms or FIRST_ROOM  # number of rooms; FIRST_ROOM for always new ones
 
     def number(self, r, stage):
-        """Returns the number of the room that robot r, which is learned from, drives in."""
+        """Returns the number of the room of robot r, which is not watched."""
         return self.first_room + (r + stage * self.learning) % self.rooms
 
     def of_robot(self, r, stage):
@@ -103,6 +103,6 @@ class RandomRooms:
         return r >= self.learning
 
     def by_kind(self, stage):
-        learned_in = list(dict.fromkeys(self.number(r, stage) for r in range(self.learning)))
-        return {"training": [generate.room(k) for k in learned_in[:VALIDATION_ROOMS]],
+        numbers = list(dict.fromkeys(self.number(r, stage) for r in range(self.learning)))
+        return {"training": [generate.room(k) for k in numbers[:VALIDATION_ROOMS]],
                 "new": self.validation}

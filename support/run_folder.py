@@ -1,4 +1,4 @@
-"""A run's folder: config, tables, weights and checkpoint. No file is left half-written."""
+"""The folder of a run: config, tables, weights and checkpoint. No file is left half-written."""
 
 import csv
 import itertools
@@ -29,34 +29,34 @@ except ImportError:  # on Windows
     fcntl = None
 
 CHECKPOINT = "checkpoint.pt"
-EVERY = 10.0  # [s] from one writing of the newest weights to the next, our choice
+EVERY = 10.0  # [s] minimum time between two writes of the newest weights, our choice
 TABLES = ("episodes.csv", "updates.csv")
-OF_A_COMMAND = ("resume", "json")  # options that are not the run's
+OF_A_COMMAND = ("resume", "json")  # options that a run does not keep
 
 
 class Table:
     """A CSV file that grows row by row."""
 
     def __init__(self, path, size):
-        """size: bytes that the file is cut back to; 0 begins it anew."""
-        self.file = open(path, "a+", newline="", buffering=1)  # whole lines can be read at once
+        """size: number of bytes to keep of the file; 0 for a new file."""
+        self.file = open(path, "a+", newline="", buffering=1)  # each line can be read at once
         self.file.seek(self.file.truncate(size))
         self.writer = csv.writer(self.file)
 
     def add(self, row):
-        """Adds a row, a dict. Raises OSError."""
+        """Adds a row, a dict from column to value. Raises OSError."""
         if self.file.tell() == 0:
             self.writer.writerow(row)
         self.writer.writerow(row.values())
 
     def size(self):
-        """Returns the bytes of the file, when all of them are on disk."""
+        """Writes the file to disk and returns its size in bytes."""
         os.fsync(self.file.fileno())
         return self.file.tell()
 
 
 class RunFolder(ExitStack):
-    """The files of one run. Only one program writes to them, until `close`."""
+    """The files of one run. Only one program can write to them, until `close`."""
 
     def __init__(self, path):
         """Locks the folder, if its file system has locks. Raises RunError, OSError."""
@@ -70,22 +70,22 @@ class RunFolder(ExitStack):
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise RunError(f"run '{path}' is under way in another program") from None
+                raise RunError(f"run '{path}' is in use by another program") from None
             except OSError:
                 pass  # this file system has no locks
 
     def load_checkpoint(self):
-        """Keeps as `state` what the last stage began with, None before the first checkpoint, and
-        cuts the tables back to it. Nothing in the file is executed. Raises RunError, OSError."""
+        """Sets `state` to the state of the last checkpoint, None if there is none, and cuts the
+        tables back to it. Nothing in the file is executed. Raises RunError, OSError."""
         file = self.path / CHECKPOINT
         saved = {"state": None, "sizes": [0, 0]}
         if file.exists():
             try:
                 with zipfile.ZipFile(file) as archive:
-                    if archive.testzip():  # torch itself compares no checksums
+                    if archive.testzip():  # torch does not compare checksums
                         raise ValueError
                 saved = torch.load(file, "cpu", weights_only=True)
-            except Exception as error:  # of zipfile, pickle or torch, whatever is wrong with it
+            except Exception as error:  # of zipfile, pickle or torch
                 raise RunError(f"'{file}' is damaged ({type(error).__name__}): the run cannot be "
                                "resumed, but its weights can be evaluated") from None
         for name, size in zip(TABLES, saved["sizes"]):
@@ -94,20 +94,20 @@ class RunFolder(ExitStack):
         self.state = saved["state"]
 
     def save_checkpoint(self, state):
-        """Writes a state, dicts of tensors and numbers. Raises OSError."""
+        """Writes a checkpoint. state: dicts of tensors and numbers. Raises OSError."""
         content = {"state": state, "sizes": [table.size() for table in self.tables.values()]}
         write(self.path / CHECKPOINT, lambda file: torch.save(content, file))
 
     def offer_weights(self, model, scenes, now=False):
-        """Writes the newest weights if the last ones are ten seconds old. Raises OSError."""
+        """Writes the weights, unless it did so in the last ten seconds. Raises OSError."""
         if now or time.monotonic() - self._written > EVERY:
             save_model(self.path / FILE, model, scenes)
             self._written = time.monotonic()
 
 
 def begin_run(config, parser, environment):
-    """Returns a run's config and its Scenes, and makes a new one's folder. environment: the class
-    that it trains in. Invalid input exits. Raises RunError, SceneError, OSError."""
+    """Returns the config of a run and its Scenes, and makes the folder of a new run. environment:
+    the class to train in. Exits if input is invalid. Raises RunError, SceneError, OSError."""
     if config.resume:
         config = resumed(config, parser.given)
     check_config(config, parser)
@@ -121,19 +121,19 @@ def begin_run(config, parser, environment):
 
 
 def make_folder(config, name):
-    """Makes a new run's folder with a copy of the room's file. By default it is the first free one
-    of runs/NAME-seedK, runs/NAME-seedK-2, ..., which becomes `config.out`. Raises RunError."""
+    """Makes a new run's folder, with a copy of the room's file, and sets `config.out` to it. The
+    default is the first free one of runs/NAME-seedK, runs/NAME-seedK-2, ... Raises RunError."""
     for copy in itertools.count(1):
         suffix = f"-{copy}" if copy > 1 else ""
         path = Path(config.out or f"runs/{name}-seed{config.seed}{suffix}")
         try:
-            path.mkdir(parents=True)  # it fails if another program was faster
+            path.mkdir(parents=True)  # fails if another program was faster
             break
         except FileExistsError:
             if config.out:
-                raise RunError(f"--out '{path}' exists already, it must name a new folder")
+                raise RunError(f"--out '{path}' already exists; it must name a new folder")
         except OSError as error:
-            raise RunError(f"folder '{path}' cannot be made: {error.strerror}")
+            raise RunError(f"folder '{path}' cannot be created: {error.strerror}")
     config.out = str(path)
     file = scene_files.find(config.env)
     if file is not None:
@@ -141,8 +141,8 @@ def make_folder(config, name):
 
 
 def open_folder(config):
-    """Returns the RunFolder of a run, for a `with`, and writes its config; in all processes except
-    the first, returns a stand-in for None. Raises RunError, OSError."""
+    """Returns the RunFolder of a run, for a `with`, and writes its config. In all processes except
+    the first, returns a context whose value is None. Raises RunError, OSError."""
     if parallel.rank() > 0:
         return nullcontext()
     folder = RunFolder(config.out)
@@ -150,13 +150,13 @@ def open_folder(config):
     kept = {name: value for name, value in asdict(config).items() if name not in OF_A_COMMAND}
     write(folder.path / "config.json", json.dumps(kept, indent=2))
     if config.resume and not folder.state:
-        print("there is no checkpoint yet: the run begins again", file=sys.stderr)
+        print("no checkpoint yet: the run starts again from the beginning", file=sys.stderr)
     return folder
 
 
 @contextmanager
 def report_errors(config, parser):
-    """Ends the program with one sentence if a run cannot begin or is cut short."""
+    """Ends the program with one sentence if a run cannot start or is interrupted."""
     try:
         yield
     except (SceneError, RunError) as error:
@@ -164,51 +164,51 @@ def report_errors(config, parser):
     except (KeyboardInterrupt, OSError, FloatingPointError, parallel.ProcessLost) as error:
         folder = config.out or config.resume
         begun = Path(folder, "config.json").exists()
-        then = f"resume with {program()} --resume {shlex.quote(folder)}" if begun else "not begun"
+        then = f"resume with {program()} --resume {shlex.quote(folder)}" if begun else "not started"
         if not isinstance(error, KeyboardInterrupt):
             sys.exit(f"\nerror: {error}; {then}")
         print(f"\ninterrupted; {then}", file=sys.stderr)
-        sys.exit(130)  # as shells report a program that Ctrl-C ended
+        sys.exit(130)  # the exit code of a program that Ctrl-C ended
 
 
 def resumed(config, given):
-    """Returns the config of the run that `config.resume` names, with what this command line may
-    change. given: names of the options on it. Raises RunError."""
+    """Returns the config of the run that `config.resume` names, with the changes that this command
+    line may make. given: names of the options on it. Raises RunError."""
     path = Path(config.resume)
     try:
         own = json.loads((path / "config.json").read_text(encoding="utf-8"))
         changed = {"resume": config.resume, "json": config.json, "out": str(path)}
         kinds = {name: type(value) for name, value in (own | changed).items()}
         if kinds != {name: type(value) for name, value in asdict(config).items()}:
-            raise ValueError  # of another program, or edited
+            raise ValueError  # edited, or of another program
         run = type(config)(**own | changed)
     except (FileNotFoundError, NotADirectoryError):
-        raise RunError(f"--resume '{path}' is not a run's folder: it has no config.json") from None
+        raise RunError(f"--resume '{path}' is not a run folder: it has no config.json") from None
     except (OSError, ValueError, TypeError):
-        raise RunError(f"'{path / 'config.json'}' holds no config of {program()}: a run resumes by "
-                       "the program that began it") from None
+        raise RunError(f"'{path / 'config.json'}' is not a config of {program()}: resume a run "
+                       "with the program that started it") from None
     for name in given.difference(OF_A_COMMAND):
         value = getattr(config, name)
         if name == "steps" and value < run.steps:
-            raise RunError(f"--steps is {value}, it must be at least {run.steps}, as run '{path}' "
-                           "was begun with")
+            raise RunError(f"--steps is {value}; it must be at least {run.steps}, the value that "
+                           f"run '{path}' was started with")
         if name in ("steps", "device"):
             setattr(run, name, value)
         elif value != own[name]:
-            raise RunError(f"--{name.replace('_', '-')} is {value}, but run '{path}' was begun "
-                           f"with {own[name]!r}: leave it out")
+            raise RunError(f"--{name.replace('_', '-')} is {value}, but run '{path}' was "
+                           f"started with {own[name]!r}: leave it out")
     return run
 
 
 def check_config(config, parser):
-    """Exits if options contradict one another. Sets `config.workers` if it is 0."""
+    """Exits if options contradict each other. Sets `config.workers` if it is 0."""
     if config.env == RANDOM and "targets" not in parser.given:
         config.targets = "anywhere"
     if config.env == RANDOM and config.targets != "anywhere":
-        parser.error(f"--targets is {config.targets}, with --env {RANDOM} it must be anywhere")
+        parser.error(f"--targets is {config.targets}; with --env {RANDOM} it must be anywhere")
     for name, other, needed in (("rooms", "env", RANDOM), ("mirrored", "targets", "both"),
                                 ("random_starts", "targets", "both")):
         if name in parser.given and getattr(config, other) != needed:
-            parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}, it has an effect "
+            parser.error(f"--{name.replace('_', '-')} is {getattr(config, name)}; it has an effect "
                          f"only with --{other} {needed}: leave it out")
     parallel.check_processes(config, parser)

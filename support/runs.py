@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and tables."""
+"""Writes whole files, and reads tables."""
 
 import csv
 import os
@@ -6,15 +6,15 @@ from pathlib import Path
 
 
 class RunError(ValueError):
-    """A run that cannot be used. The message names it and says why."""
+    """A run that cannot be used. The message names it and gives the reason."""
 
 
 class ProcessLost(RuntimeError):
-    """A process that shares the work has ended early."""
+    """A process of a training run or of an evaluation exited unexpectedly."""
 
 
 def write(path, content):
-    """Writes a whole file or none: it is written beside its place, to disk, and moved there.
+    """Writes a whole file or none: writes it to disk under another name, and then renames it.
     content: text, bytes, or a function that writes to a binary file. Raises OSError."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about command lines, and places programs begin."""
+"""Tests of command lines, and of programs in unusual environments."""
 
 import os
 import subprocess
@@ -22,13 +22,13 @@ DEMO = partial(demo.main, NavVecEnv)
 
 
 def refusal(main, argv, capsys):
-    """The one sentence by which a program refuses a command line."""
-    capsys.readouterr()  # what was said before
+    """Returns the error message of a program for a command line: one sentence."""
+    capsys.readouterr()  # discard earlier output
     with pytest.raises(SystemExit) as stop:
         main(argv)
-    said = capsys.readouterr().err
-    assert stop.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1, said
-    return said
+    text = capsys.readouterr().err
+    assert stop.value.code == 2 and text.startswith("error: ") and text.count("\n") == 1, text
+    return text
 
 
 @pytest.mark.parametrize("main, line, words", [
@@ -38,28 +38,28 @@ def refusal(main, argv, capsys):
     (TRAIN, "--seed -1", "--seed: '-1' is not a whole number of at least 0"),
     (TRAIN, "--robots 64.0", "--robots: '64.0' is not a whole number from 1 to 4,096"),
     (TRAIN, "--clip inf", "--clip: 'inf' is not a number from 1e-09 to 1,000,000,000"),
-    (TRAIN, "--step 5", "unrecognized arguments: --step 5"),  # never short for --steps
+    (TRAIN, "--step 5", "unrecognized arguments: --step 5"),  # not an abbreviation of --steps
     (TRAIN, "--env none.toml", "scene file 'none.toml' cannot be used: No such file"),
-    (TRAIN, "--env lab", "room 'lab' has a robot's errors: python -m robot.train"),
+    (TRAIN, "--env lab", "room 'lab' has a robot's errors; use python -m robot.train"),
     (TRAIN, "--env random:x", "must be random: and a whole number from 0 to 1,000,000,000"),
-    (TRAIN, "--rooms 4", "--rooms is 4, it has an effect only with --env random: leave it out"),
+    (TRAIN, "--rooms 4", "--rooms is 4; it has an effect only with --env random: leave it out"),
     (TRAIN, "--env random --targets both", "with --env random it must be anywhere"),
     (TRAIN, "--workers 9 --robots 8", "it must be at most 4: each needs two robots"),
-    (TRAIN, "--resume none", "--resume 'none' is not a run's folder: it has no config.json"),
+    (TRAIN, "--resume none", "--resume 'none' is not a run folder: it has no config.json"),
     (TRAIN, "--env env9", "unknown scene 'env9': it must be one of env1, env2"),
     (TRAIN, "--gamma nan", "--gamma: 'nan' is not a number from 0.0 to 1.0"),
-    (TRAIN, "--out .", "--out '.' exists already, it must name a new folder"),
-    (TRAIN, "--out evaluations/run", "folder 'evaluations/run' cannot be made: Not a directory"),
+    (TRAIN, "--out .", "--out '.' already exists; it must name a new folder"),
+    (TRAIN, "--out evaluations/run", "folder 'evaluations/run' cannot be created: Not a directory"),
     (EVALUATE, "--planner bug", "evaluations"),
     (EVALUATE, "run --planner bug", "give either a run"),
-    (EVALUATE, "--episodes 5 none", "run 'none' does not exist: it must be a run's folder or a"),
+    (EVALUATE, "--episodes 5 none", "run 'none' does not exist: it must be a run folder or a"),
     (DRAW, "env9", "unknown scene 'env9'"),
     (DEMO, f"--env {'x' * 5000}.toml", "File name too long")])
-def test_a_bad_command_line_is_one_sentence_and_leaves_nothing(main, line, words, tmp_path, capsys,
-                                                               monkeypatch):
+def test_a_bad_command_line_gives_one_sentence_and_leaves_no_file(main, line, words, tmp_path,
+                                                                  capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("evaluations").write_text("mine, and not a folder")
-    monkeypatch.setattr(train, "Training", None)  # what is not refused fails here
+    Path("evaluations").write_text("a file, not a folder")
+    monkeypatch.setattr(train, "Training", None)  # fails if the command line is accepted
     assert words in refusal(main, line.split(), capsys)
     assert len([*tmp_path.iterdir()]) == 1
 
@@ -72,7 +72,7 @@ class Options:
     share: float = option(0.5, "a fraction", 0.0, 1.0)
     name: str = option("", "a name")
     kind: str = option("one", "a kind", choices=("one", "two"))
-    loud: bool = option(False, "say more")
+    loud: bool = option(False, "print more")
 
 
 @pytest.mark.parametrize("line, expected", [
@@ -81,7 +81,7 @@ class Options:
     ("--share 0 --many-steps 10 --kind two there", {"share": 0.0, "many_steps": 10, "kind": "two",
                                                     "run": "there"}),
     ("--name -x", None), ("--name=-x --many-steps 7", {"name": "-x", "many_steps": 7})])
-def test_options_stand_before_the_positional_one_and_behind_it(line, expected, capsys):
+def test_options_may_precede_or_follow_the_positional_argument(line, expected, capsys):
     def main(argv):
         options, parser = parse(Options, "Try options.", argv)
         assert options == Options(**expected) and parser.given == set(expected)
@@ -96,28 +96,28 @@ def test_help_lists_options_and_their_defaults(capsys):
     for main in (TRAIN, EVALUATE, DRAW, DEMO, partial(parse, Options, "Try options.")):
         with pytest.raises(SystemExit):
             main(argv=["--help"])
-        said = " ".join(capsys.readouterr().out.split())
-        assert said.startswith("usage: python") and "SUPPRESS" not in said and "None" not in said
+        text = " ".join(capsys.readouterr().out.split())
+        assert text.startswith("usage: python") and "SUPPRESS" not in text and "None" not in text
     for words in ("Try options.", "RUN a run", "--many-steps N N steps of 100 % (default: 7)",
                   "--kind {one,two} a kind (default: one)", "--name NAME a name --"):
-        assert words in said, words
+        assert words in text, words
 
 
 ODD = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT), "DISPLAY": "",
        "HOME": "/dev/null/none", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": "",
-       "MPLBACKEND": "module://matplotlib_inline.backend_inline"}  # a package not installed
+       "MPLBACKEND": "module://matplotlib_inline.backend_inline"}  # not installed
 
 
 @pytest.mark.parametrize("program, written", [
     ([ROOT / "navbot_min.py", "--env", "Stube ß.toml"], "demo.png"),
     (["-m", "evaluation", "--planner", "straight", "--env", "Stube ß.toml", "--episodes", "4"],
      "evaluations/straight-Stube ß/episode.gif")])
-def test_programs_work_without_a_home_a_display_letters_or_latex_and_as_python_o(
+def test_programs_work_without_home_display_unicode_or_latex_and_with_python_o(
         program, written, tmp_path):
     folder = tmp_path / "meine Räume 房间"
     folder.mkdir()
     (folder / "Stube ß.toml").write_bytes((ROOT / "scenes" / "env1.toml").read_bytes())
-    (folder / "matplotlibrc").write_text("text.usetex: true")  # LaTeX is not installed either
+    (folder / "matplotlibrc").write_text("text.usetex: true")  # LaTeX is not installed
     done = subprocess.run([sys.executable, "-O", *map(str, program)], cwd=folder, text=True,
                           capture_output=True, timeout=120, env=os.environ | ODD)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr

@@ -1,5 +1,5 @@
-"""Each test is the shortest proof of one claim about Gymnasium: what its wrappers, and other
-libraries that are made for it, expect of our environments."""
+"""Tests of the environments with Gymnasium: what its wrappers, and libraries that build on it,
+expect of an environment."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ STILL = np.zeros(2)
 
 
 def drive(env, action):
-    """Steps to the end of an episode; returns its length, and the last info."""
+    """Drives one episode. Returns its length and the last info."""
     env.reset(seed=0)
     length = 0
     over = False
@@ -29,7 +29,7 @@ def drive(env, action):
     return length, info
 
 
-def test_statistics_of_episodes_are_ours_as_tensors_too():
+def test_gymnasium_records_the_same_episode_statistics_in_numpy_and_torch():
     env = wrappers.RecordEpisodeStatistics(gym.make(ID, max_episode_steps=9))
     length, info = drive(env, STILL)
     assert info["episode"]["l"] == length == 9
@@ -41,10 +41,10 @@ def test_statistics_of_episodes_are_ours_as_tensors_too():
     assert torch.equal(infos["final_info"]["outcome"], torch.tensor([TIMEOUT] * 3))
 
 
-def test_info_has_the_same_keys_and_types_always_and_tells_an_arrival_from_a_collision():
+def test_info_always_has_the_same_keys_and_types_and_distinguishes_arrival_from_collision():
     room = scenes.parse(square_room(training_targets=[[0.5, 0.0], [-1.0, 0.0]]), "room")
     env = NavEnv([room])
-    for target, expected in ((0, True), (1, False)):  # ahead, and behind: into the wall
+    for target, expected in ((0, True), (1, False)):  # ahead: arrival; behind: it hits the wall
         infos = [env.reset(seed=0, options={"target": target})[1]]
         over = False
         while not over:
@@ -56,16 +56,16 @@ def test_info_has_the_same_keys_and_types_always_and_tells_an_arrival_from_a_col
         assert [info["length"] for info in infos] == list(range(len(infos)))
 
 
-def test_rooms_have_one_observation_space_so_that_they_can_be_vectorised_together():
+def test_all_rooms_have_the_same_observation_space_so_they_can_be_vectorised_together():
     largest = scenes.parse(square_room(14.0), "the largest room")
     single = [NavEnv([room]) for room in ("env1", "maze3", "random:3", largest)]
-    many = SyncVectorEnv([lambda env=env: env for env in single],  # it compares their spaces
+    many = SyncVectorEnv([lambda env=env: env for env in single],  # compares their spaces
                          autoreset_mode=AutoresetMode.SAME_STEP)
     observations, _ = many.reset(seed=0)
     assert many.observation_space.contains(observations)
 
 
-def test_a_generator_that_you_set_draws_the_episodes():
+def test_a_generator_set_by_the_user_draws_the_episodes():
     first, second = NavEnv(targets="anywhere"), NavEnv(targets="anywhere")
     for env, seed in ((first, 1), (second, 2)):
         env.reset(seed=seed)

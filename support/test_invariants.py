@@ -1,7 +1,7 @@
-"""Invariants of the task: odd rooms, random and extreme actions, 14,000 steps.
+"""Tests invariants of the task in unusual rooms with random and extreme actions, 14,000 steps.
 
-The rooms are driven in once, and every test looks at one invariant of what was driven, by an oracle
-that computes it in another way than the code.
+The steps are driven once. Each test checks one invariant of all steps with an oracle that computes
+the result in another way than the code.
 """
 
 import functools
@@ -16,11 +16,11 @@ from navbot_min import ARRIVAL, COLLISION, TIMEOUT, NavVecEnv
 from scenes.test_scenes import box, square_room
 from support.traces import TurnToTarget
 
-ROBOTS = 72  # more than the camera paints at once
-STEPS = 48  # of each robot in each room
-LIMIT = 24  # steps of an episode
+ROBOTS = 72  # more than the camera renders at once
+STEPS = 48  # steps of each robot in each room
+LIMIT = 24  # step limit of an episode
 EXTREMES = np.array([0, -0.0, 1, -1, 1e-300, -1e-9, 1.0001, -2, 7e5, -1e30, 1e308])
-PARTS = np.arange(5)[:, None] / 4  # fractions of a control period, at which physics looks
+PARTS = np.arange(5)[:, None] / 4  # fractions of a control period: times of the collision checks
 
 
 THIN = square_room(1.0, 0.001, [box(x=0.4, y=0.5, yaw_degrees=25, thickness=0.002)],
@@ -29,7 +29,7 @@ ROOMS = [scenes.parse(THIN, "thin walls"), *map(scenes.load, ("env2", "maze3", "
 
 
 def extreme_actions(rng, seen):
-    """Returns an action for each robot (R, 2): nine ways to drive, by its number."""
+    """Returns actions (R, 2). Each robot drives in one of nine ways, given by its index."""
     R = len(seen["target"])
     actions = TurnToTarget().act(None, seen).astype(float)
     ways = [rng.uniform((0, -1), (1, 1), (R, 2)), np.tile((1, 0), (R, 1)), np.tile((1, 1), (R, 1)),
@@ -42,8 +42,8 @@ def extreme_actions(rng, seen):
 
 @functools.cache
 def drives(left_in_memory=0):
-    """Returns what happened at each step in each room. left_in_memory: what an array holds before
-    it is written."""
+    """Returns a record of each step in each room. left_in_memory: the value of array elements that
+    have not been written yet."""
     steps = []
 
     def empty(shape, dtype=float):
@@ -69,33 +69,33 @@ def drives(left_in_memory=0):
 
 
 def places(poses):
-    """Returns the complex places of (..., 3) poses."""
+    """Returns the places of poses (..., 3) as complex numbers."""
     return poses[..., 0] + 1j * poses[..., 1]
 
 
-def test_robots_drive_arcs_and_collide_exactly_if_the_disc_would_overlap_a_wall():
+def test_robots_drive_arcs_and_collide_exactly_when_their_disc_would_overlap_a_wall():
     counts = np.zeros(4, int)
     for step in drives():
         v, w = (step.action.clip((0, -1), (1, 1)) * (0.3, 1.0)).T
         turned = w * 0.4 * PARTS
         chord = np.where(w == 0, 0.4 * PARTS, np.expm1(1j * turned) / (1j * np.where(w, w, 1)))
-        way = places(step.pose) + v * chord * np.exp(1j * step.pose[:, 2])  # without walls, (5, R)
-        gap = step.scene.clearance(np.stack([way.real, way.imag], -1)) - 0.178
+        path = places(step.pose) + v * chord * np.exp(1j * step.pose[:, 2])  # (5, R) without walls
+        gap = step.scene.clearance(np.stack([path.real, path.imag], -1)) - 0.178
         sure = (np.abs(gap[1:]) > 1e-9).all(0)
-        free = np.logical_and.accumulate(gap[1:] > 0).sum(0)  # parts that are driven
+        free = np.logical_and.accumulate(gap[1:] > 0).sum(0)  # quarters that are driven
         collided = step.outcome == COLLISION
         assert (collided == (free < 4))[sure & (step.outcome != ARRIVAL)].all()
         robots = np.arange(ROBOTS)
-        assert np.abs(way[free, robots] - places(step.led_to))[sure].max() < 1e-9
+        assert np.abs(path[free, robots] - places(step.led_to))[sure].max() < 1e-9
         heading = np.exp(1j * (step.pose[:, 2] + turned[free, robots]))
         assert np.abs(heading - np.exp(1j * step.led_to[:, 2]))[sure].max() < 1e-9
         assert step.scene.clearance(step.led_to[:, :2]).min() >= 0.178 - 1e-9
         assert (-math.pi < step.led_to[:, 2]).all() and (step.led_to[:, 2] <= math.pi).all()
         counts += np.bincount(step.outcome + 1, minlength=4)
-    assert counts.min() > 30  # episodes end in every way
+    assert counts.min() > 30  # episodes end with every outcome
 
 
-def test_observations_are_in_their_space_and_every_pixel_is_painted():
+def test_observations_are_in_their_space_and_every_pixel_is_rendered():
     for step, other in zip(drives(), drives(left_in_memory=13)):
         assert all(step.are_valid) and (step.pixels == other.pixels).all()
 
@@ -107,7 +107,7 @@ def test_distance_and_bearing_agree_with_the_pose():
         assert np.abs(ahead - seen).max() < 1e-5
 
 
-def test_rewards_are_those_of_eq_4_and_every_episode_ends_in_one_outcome():
+def test_rewards_follow_eq_4_and_every_episode_has_one_outcome():
     for step in drives():
         before = np.abs(places(step.goal) - places(step.pose))
         after = np.abs(places(step.goal) - places(step.led_to))

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about processes that share the work."""
+"""Tests of training and other jobs in several processes."""
 
 import os
 from types import SimpleNamespace
@@ -14,12 +14,12 @@ from support import parallel
 from support.parallel import ProcessLost, gather, in_processes, run_together, total
 
 LENGTHS = (3, 9, 5, 1, 7, 12, 4, 2)
-BEHIND = 3  # of these episodes, those of a second process
+SECOND = 3  # number of these episodes that belong to the second process
 CONFIG = SimpleNamespace(epochs=1, minibatches=1, gamma=0.99, lam=0.95, clip=0.2)
 
 
 def make_episodes():
-    """Returns episodes of these lengths, the same ones each time."""
+    """Returns episodes of these lengths, the same ones at each call."""
     rng = np.random.default_rng(0)
     return [Episode({"image": rng.integers(0, 256, (T, 48, 64, 3), np.uint8),
                      "target": rng.normal(size=(T, 2)).astype(np.float32),
@@ -31,7 +31,7 @@ def make_episodes():
 
 
 def gradient_of(episodes):
-    """Returns the gradient of one update, and its statistics."""
+    """Returns the gradient of one update and its statistics."""
     model = make_network(0)
     optimizer = torch.optim.SGD(model.parameters(), 1.0)
     before = torch.cat([value.detach().flatten() for value in model.parameters()])
@@ -41,13 +41,13 @@ def gradient_of(episodes):
 
 
 def learn_together(config):
-    """Returns what each process learns from its own episodes."""
+    """Returns the results of `gradient_of` in all processes, each with its own episodes."""
     episodes = make_episodes()
-    own = episodes[BEHIND:] if parallel.rank() == 0 else episodes[:BEHIND]
+    own = episodes[SECOND:] if parallel.rank() == 0 else episodes[:SECOND]
     return gather(gradient_of(own))
 
 
-def test_processes_learn_together_what_one_learns_from_all_their_episodes():
+def test_processes_compute_the_same_update_as_one_process_with_all_episodes():
     (first, statistics), (second, _) = run_together(learn_together, train.Config(workers=2))
     alone, expected = gradient_of(make_episodes())
     assert (first == second).all()  # to the last bit
@@ -56,34 +56,34 @@ def test_processes_learn_together_what_one_learns_from_all_their_episodes():
 
 
 def lose_the_second(config):
-    """Ends one process without a word, and waits for it in the other."""
+    """Exits in one process without a message, and waits for it in the other."""
     if parallel.rank() == 1:
         os._exit(9)
     total(torch.zeros(1))
 
 
-def test_a_lost_process_is_one_sentence():
-    with pytest.raises(ProcessLost, match="^another process of this training has ended"):
+def test_a_lost_process_gives_one_sentence():
+    with pytest.raises(ProcessLost, match="^another training process exited unexpectedly"):
         run_together(lose_the_second, train.Config(workers=2))
 
 
 def power(base, exponent):
-    """Returns a power, or ends the process."""
+    """Returns a power; exits if the base is negative."""
     if base < 0:
         os._exit(9)
     return base ** exponent
 
 
-def test_jobs_of_several_processes_come_back_as_from_a_loop():
+def test_results_of_several_processes_are_those_of_a_loop():
     jobs = [(base, 2) for base in range(7)]
     assert list(in_processes(power, jobs, 2)) == [power(*job) for job in jobs]
     assert list(in_processes(power, jobs, 1)) == [power(*job) for job in jobs]
-    with pytest.raises(ProcessLost, match="^a process that shares the work has ended"):
+    with pytest.raises(ProcessLost, match="^a worker process exited unexpectedly"):
         list(in_processes(power, [(1, 2), (-1, 2)], 2))
 
 
 def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
-    """Returns the processes that a training gets, on a machine with a GPU."""
+    """Returns the number of processes of a training run on a machine with a GPU."""
     monkeypatch.setattr(parallel, "available_cores", lambda: cores)
     monkeypatch.setattr(parallel, "has_gloo", lambda: gloo)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -96,5 +96,5 @@ def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
 @pytest.mark.parametrize("expected, options", [
     (2, dict(cores=2)), (4, dict()), (1, dict(robots=3)), (1, dict(device="cuda")),
     (8, dict(torchrun=8)), (5, dict(workers=5)), (1, dict(gloo=False, workers=2))])
-def test_there_is_a_process_for_every_core_up_to_four(expected, options, monkeypatch):
+def test_the_default_is_one_process_per_core_and_at_most_four(expected, options, monkeypatch):
     assert check(monkeypatch, **options) == expected

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about runs that are cut and resumed."""
+"""Tests of runs that are interrupted and resumed."""
 
 import csv
 import errno
@@ -34,7 +34,7 @@ TINY = ["--steps", "800", "--robots", "8", "--episodes-per-update", "4", "--mini
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills processes by POSIX signals")
 TORCHRUN = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
 
-# train.py with short stages and without what follows a training, and what else a test puts in.
+# train.py with short stages, without the evaluation after training, and with the code of a test.
 PROGRAM = f"""
 import os, signal, sys
 sys.path.insert(0, {str(ROOT)!r})
@@ -48,7 +48,7 @@ after_training.finish = lambda *_: None
 if __name__ == "__main__":
     train.main()
 """
-# The first process ends without a word before an update.
+# The first process is killed before an update.
 KILL = """
 learn = train.Training.learn
 def killed(training, episodes):
@@ -60,7 +60,7 @@ train.Training.learn = killed
 
 
 def start(folder, *options, before=(), more="", **pipes):
-    """Starts PROGRAM in a new process group. before: arguments of Python. more: code."""
+    """Starts PROGRAM in a new process group. before: arguments of Python. more: code to insert."""
     program = folder.parent / f"{folder.name}.py"
     program.write_text(PROGRAM.format(more=more))
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE} | pipes
@@ -69,7 +69,7 @@ def start(folder, *options, before=(), more="", **pipes):
 
 
 def content(folder):
-    """Returns what a run has written, except its speed."""
+    """Returns the contents of the files of a run, except its speed."""
     rows = csv.reader((folder / "updates.csv").read_text().splitlines())
     return {"updates": [row[:-1] for row in rows],
             "episodes.csv": (folder / "episodes.csv").read_bytes(),
@@ -78,8 +78,8 @@ def content(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The contents of runs that were never cut, by the number of workers. Nobody reads what they
-    print, as after `2>&1 | head -1`."""
+    """Contents of runs that were not interrupted, by number of workers. The reader of their output
+    exits after one line, as in `2>&1 | head -1`."""
     contents = {}
     for workers in (1, 2):
         folder = tmp_path_factory.mktemp("whole") / "run"
@@ -94,37 +94,37 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize("workers, before, cut", [
-    (1, [], KILL.format(steps=130)),  # without a checkpoint yet
+    (1, [], KILL.format(steps=130)),  # before the first checkpoint
     (1, [], KILL.format(steps=500)),
     (2, [], KILL.format(steps=500)),
     (2, TORCHRUN, KILL.format(steps=600))])
-def test_a_killed_run_is_resumed_to_the_same_bytes(workers, before, cut, whole, tmp_path):
+def test_a_killed_run_resumes_and_writes_the_same_bytes(workers, before, cut, whole, tmp_path):
     folder = tmp_path / "run"
     own = [] if before else ["--workers", str(workers)]
     process = start(folder, *TINY, *own, "--out", folder, before=before, more=cut)
-    process.communicate(timeout=120)  # ends with the last of its processes: they share the pipe
+    process.communicate(timeout=120)  # until the last of its processes exits: they share the pipe
     assert process.returncode == (1 if before else -signal.SIGKILL)
-    load_model(folder)  # the newest weights, before the first checkpoint too
-    begins_again = cut == KILL.format(steps=130)
-    assert (folder / CHECKPOINT).exists() != begins_again
+    load_model(folder)  # the newest weights exist even before the first checkpoint
+    starts_again = cut == KILL.format(steps=130)
+    assert (folder / CHECKPOINT).exists() != starts_again
     process = start(folder, "--resume", folder, before=before)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 0, said
-    assert ("there is no checkpoint yet: the run begins again" in said) == begins_again
+    _, printed = process.communicate(timeout=120)
+    assert process.returncode == 0, printed
+    assert ("no checkpoint yet: the run starts again from the beginning" in printed) == starts_again
     assert content(folder) == whole[workers]
 
 
-def test_ctrl_c_is_one_line_that_says_how_to_resume(tmp_path):
+def test_ctrl_c_prints_one_line_with_the_command_to_resume(tmp_path):
     folder = tmp_path / "run"
     process = start(folder, *TINY, "--workers", "2", "--steps", "100000", "--out", folder)
     updates = folder / "updates.csv"
     while not (updates.exists() and updates.stat().st_size):
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130 and "Traceback" not in said
-    last = said.splitlines()[-1]
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == 130 and "Traceback" not in printed
+    last = printed.splitlines()[-1]
     assert re.fullmatch(f"interrupted; resume with python .*.py --resume {folder}", last)
 
 
@@ -133,8 +133,8 @@ def test_ctrl_c_is_one_line_that_says_how_to_resume(tmp_path):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A finished run in a room that is a file beside it. Stages are short, and nothing follows a
-    training."""
+    """The folder of a finished run in a room from a file next to it. Stages are short, and no
+    evaluation follows."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     room = folder.with_name("room.toml")
     shutil.copy(ROOT / "scenes" / "env1.toml", room)
@@ -148,11 +148,11 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def copied(finished, tmp_path):
-    """A copy of that run."""
+    """A copy of the finished run."""
     return shutil.copytree(finished, tmp_path / "run")
 
 
-def test_more_steps_lengthen_a_finished_run_in_the_room_and_with_the_options_that_it_has(
+def test_more_steps_extend_a_finished_run_with_its_own_room_and_options(
         copied, finished, capsys):
     again = ["--resume", str(copied)]
     before = (copied / "episodes.csv").read_bytes()
@@ -166,33 +166,33 @@ def test_more_steps_lengthen_a_finished_run_in_the_room_and_with_the_options_tha
     [room] = load_model(copied)[1]
     assert (room.name, room.boxes) == ("room", ENV1.boxes)
     for option, words in ((["--seed", "5"], "--seed is 5, but run"),
-                          (["--steps", "399"], "--steps is 399, it must be at least 400")):
+                          (["--steps", "399"], "--steps is 399; it must be at least 400")):
         assert words in refusal(train.main, again + option, capsys)
     (copied / "config.json").write_text("[]")
-    assert "a run resumes by the program that began it" in refusal(train.main, again, capsys)
+    assert "resume a run with the program that started it" in refusal(train.main, again, capsys)
 
 
-def test_a_damaged_checkpoint_is_one_sentence_and_nothing_of_it_is_executed(copied, monkeypatch):
+def test_a_damaged_checkpoint_gives_one_sentence_and_nothing_in_it_is_executed(copied, monkeypatch):
     monkeypatch.chdir(copied)
     file = copied / CHECKPOINT
     damaged = bytearray(file.read_bytes())
-    damaged[len(damaged) // 2] ^= 1  # one bit of the weights
+    damaged[len(damaged) // 2] ^= 1  # one bit in the weights
     folder = RunFolder(copied)
-    said = "^'.*' is damaged .*, but its weights can be evaluated$"
+    message = "^'.*' is damaged .*, but its weights can be evaluated$"
     for save in (lambda: file.write_bytes(damaged), lambda: torch.save(Code(), file)):
         save()
-        with pytest.raises(RunError, match=said):
+        with pytest.raises(RunError, match=message):
             folder.load_checkpoint()
     assert not Path("executed").exists()
 
 
-def test_a_run_that_is_under_way_is_not_resumed_by_another_program(copied, capsys):
+def test_a_run_under_way_cannot_be_resumed_by_another_program(copied, capsys):
     under_way = RunFolder(copied)
-    said = refusal(train.main, ["--resume", str(copied)], capsys)
-    assert said == f"error: run '{under_way.path}' is under way in another program\n"
+    message = refusal(train.main, ["--resume", str(copied)], capsys)
+    assert message == f"error: run '{under_way.path}' is in use by another program\n"
 
 
-def test_a_file_system_without_locks_goes_unguarded(copied, monkeypatch):
+def test_without_file_locks_a_run_is_not_protected(copied, monkeypatch):
     def flock(descriptor, operation):
         raise OSError(errno.ENOSYS, "Function not implemented")
     monkeypatch.setattr(run_folder.fcntl, "flock", flock)
@@ -202,7 +202,7 @@ def test_a_file_system_without_locks_goes_unguarded(copied, monkeypatch):
         assert first.state["steps"] == second.state["steps"] > 0
 
 
-def test_new_runs_that_start_together_get_folders_of_their_own(tmp_path, monkeypatch):
+def test_runs_that_start_at_the_same_time_get_separate_folders(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def make(_):
@@ -217,8 +217,8 @@ def test_new_runs_that_start_together_get_folders_of_their_own(tmp_path, monkeyp
 @pytest.mark.parametrize("error, words", [
     (OSError(errno.ENOSPC, "No space left on device"), r".* No space left on device"),
     (FloatingPointError("the gradient is not finite"), "the gradient is not finite"),
-    (ProcessLost("another process has ended"), "another process has ended")])
-def test_what_ends_a_run_is_one_line(error, words, copied, monkeypatch):
+    (ProcessLost("another process exited"), "another process exited")])
+def test_an_error_that_ends_a_run_is_one_line(error, words, copied, monkeypatch):
     def fail(training, episodes):
         raise error
     monkeypatch.setattr(train.Training, "learn", fail)

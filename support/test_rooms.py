@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about which rooms a training drives in, and when."""
+"""Tests of the rooms of a training run: which robot drives in which room, and when."""
 
 import pickle
 from itertools import combinations
@@ -18,43 +18,43 @@ ENV1 = scenes.load("env1")
 
 
 def random_rooms(**options):
-    """RandomRooms of a training with these options."""
+    """Returns the RandomRooms of a run with these options."""
     return rooms.RandomRooms(train.Config(env="random", **options), ["a", "b", "c"])
 
 
-def visited(stays, stages):
-    """The numbers of the rooms that are learned in at the first stages."""
-    return {stays.number(r, stage) for r in range(stays.learning) for stage in range(stages)}
+def visited(random, stages):
+    """Returns the numbers of the training rooms of the first stages."""
+    return {random.number(r, stage) for r in range(random.learning) for stage in range(stages)}
 
 
-def test_no_room_is_learned_in_by_two_runs_and_none_is_for_validation():
+def test_no_two_runs_share_a_training_room_and_no_validation_room_is_trained_on():
     runs = [visited(random_rooms(seed=seed), 40) for seed in range(6)]
     assert all(min(run) > rooms.VALIDATION_ROOMS for run in runs)
     assert not any(one & other for one, other in combinations(runs, 2))
-    for given, learned_in in ((4, 4), (100, 100), (0, 9 * 60)):  # 0: new ones at every stage
-        numbers = visited(random_rooms(rooms=given), 9)
-        assert numbers == set(range(1_000_000, 1_000_000 + learned_in))
+    for option, expected in ((4, 4), (100, 100), (0, 9 * 60)):  # 0: new rooms at every stage
+        numbers = visited(random_rooms(rooms=option), 9)
+        assert numbers == set(range(1_000_000, 1_000_000 + expected))
 
 
-@pytest.mark.parametrize("robots, watching", [(1, 0), (2, 1), (16, 1), (64, 4)])
-def test_one_robot_of_16_watches_and_all_rooms_for_validation_have_their_turn(robots, watching):
-    stays = random_rooms(robots=robots)
-    watchers = [r for r in range(robots) if stays.is_watched(r)]
-    assert len(watchers) == watching
-    seen = [stays.of_robot(r, stage) for stage in range(3) for r in watchers]
-    assert all(seen.count(room) == watching for room in "abc")
+@pytest.mark.parametrize("robots, watched", [(1, 0), (2, 1), (16, 1), (64, 4)])
+def test_one_robot_in_16_is_watched_and_all_validation_rooms_are_used(robots, watched):
+    random = random_rooms(robots=robots)
+    indices = [r for r in range(robots) if random.is_watched(r)]
+    assert len(indices) == watched
+    seen = [random.of_robot(r, stage) for stage in range(3) for r in indices]
+    assert all(seen.count(room) == watched for room in "abc")
 
 
 @pytest.mark.parametrize("targets, in_mirror", [("both", 2), ("memorize", 0), ("anywhere", 0)])
-def test_the_last_robots_drive_in_mirrored_rooms_of_level_2(targets, in_mirror):
-    stays = rooms.GivenRooms(train.Config(robots=8, mirrored=0.25, targets=targets), [ENV1])
-    driven = [stays.of_robot(r, stage=5) for r in range(8)]
-    assert driven == [ENV1] * (8 - in_mirror) + [ENV1.mirrored()] * in_mirror
+def test_at_level_2_the_last_robots_drive_in_mirrored_rooms(targets, in_mirror):
+    given = rooms.GivenRooms(train.Config(robots=8, mirrored=0.25, targets=targets), [ENV1])
+    scene_of = [given.of_robot(r, stage=5) for r in range(8)]
+    assert scene_of == [ENV1] * (8 - in_mirror) + [ENV1.mirrored()] * in_mirror
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Rooms that are made at once, and stages of 400 steps of 32 robots."""
+    """Simple rooms that are quick to make, and stages of 400 steps for 32 robots."""
     def square(seed):
         half = 0.6 + seed % 7 / 10
         return scenes.parse(square_room(half, training_targets=[[0.2, 0.0]], new_targets=[]),
@@ -67,7 +67,7 @@ def quick(monkeypatch):
 
 
 def training(**options):
-    """A training in random rooms, with 2 watching robots of 32, at its first stage."""
+    """Returns a Training in random rooms at its first stage, with 2 of 32 robots watched."""
     options = dict(env="random", targets="anywhere", robots=32, episodes_per_update=8,
                    minibatches=1, epochs=1) | options
     run = train.Training(train.Config(**options), rooms.validation_scenes())
@@ -76,7 +76,7 @@ def training(**options):
 
 
 def collect(run):
-    """Collects and counts episodes, at the next stage if it is time for it."""
+    """Collects and records episodes, and begins the next stage when it is due."""
     if run.steps >= run.next_stage:
         run.begin_stage()
     episodes, rows = run.collect()
@@ -85,7 +85,7 @@ def collect(run):
     return episodes, rows
 
 
-def test_what_a_watching_robot_does_is_new_and_never_learned_from(quick):
+def test_episodes_of_watched_robots_count_as_new_and_are_never_trained_on(quick):
     run = training()
     watched = {room.name for room in rooms.validation_scenes()}
     kinds = set()
@@ -98,16 +98,16 @@ def test_what_a_watching_robot_does_is_new_and_never_learned_from(quick):
     assert kinds == {"training", "new"} and run.stage > 1
 
 
-def test_processes_share_the_robots_and_each_robot_has_its_room(quick, monkeypatch):
-    everyone = training().env.scenes
-    assert len({scene.name for scene in everyone}) == 32
+def test_processes_share_the_robots_and_each_robot_keeps_its_room(quick, monkeypatch):
+    all_scenes = training().env.scenes
+    assert len({scene.name for scene in all_scenes}) == 32
     monkeypatch.setattr(parallel, "count", lambda: 2)
     for rank in range(2):
         monkeypatch.setattr(parallel, "rank", lambda: rank)
-        assert training().env.scenes == everyone[rank::2]
+        assert training().env.scenes == all_scenes[rank::2]
 
 
-def test_a_training_goes_on_from_its_state_to_the_same_weights(quick):
+def test_a_training_restored_from_its_state_reaches_the_same_weights(quick):
     whole = training(steps=10 ** 5)
     while whole.stage < 1 or whole.steps < whole.next_stage:
         whole.learn(collect(whole)[0])
@@ -124,21 +124,21 @@ def test_a_training_goes_on_from_its_state_to_the_same_weights(quick):
                for one, other in zip(whole.model.parameters(), again.model.parameters()))
 
 
-def test_a_start_to_learn_from_is_mostly_behind_something_and_an_examined_one_is_not():
+def test_in_training_rooms_the_line_from_start_to_goal_is_blocked_more_often_than_in_evaluation():
     rng = np.random.default_rng(0)
     fractions = []
     for room in (generate.room(2), rooms.training_room(2)):
-        behind = []
+        blocked = []
         for _ in range(200):
             goal = room.any_place(rng)
             line = np.linspace(room.any_start(goal, rng)[:2], goal, 400)  # points 1 cm apart
-            behind.append(room.clearance(line).min() <= 0)
-        fractions.append(np.mean(behind))
-    expected = 1 - (1 - fractions[0]) ** rooms.DRAWS  # roughly: it differs from goal to goal
+            blocked.append(room.clearance(line).min() <= 0)
+        fractions.append(np.mean(blocked))
+    expected = 1 - (1 - fractions[0]) ** rooms.DRAWS  # approximate: it differs between goals
     assert 0.3 < fractions[0] < 0.7 and fractions[1] == pytest.approx(expected, abs=0.1)
 
 
-def test_the_evaluation_after_training_is_in_plain_rooms(quick):
+def test_the_evaluation_after_training_uses_plain_scenes(quick):
     by_kind = training().rooms.by_kind(0)
     evaluated = by_kind["training"] + by_kind["new"]
     numbers = [1_000_000, 1_000_001, 1_000_002, 0, 1, 2]

@@ -1,4 +1,4 @@
-"""The loop that drives episodes: which of them count, and what it keeps of them. Range sensors."""
+"""Tests of the loop that drives episodes and of what it records; tests of range sensors."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ QUOTA = [2, 0, 1, 3, 2, 1]
 
 
 def make_env():
-    """Returns six robots in two rooms, whose episodes end in every way."""
+    """Returns an environment of six robots in two rooms, whose episodes end with every outcome."""
     return NavVecEnv(6, ["env1", "env2"], random_starts=0.5, max_episode_steps=15)
 
 
-class Thinker(TurnToTarget):
-    """A driver that thinks of a number, and notes whose episodes begin."""
+class RecordingDriver(TurnToTarget):
+    """A driver with activations. `begun` lists the robots whose episodes begin."""
 
     def reset(self, env, robots):
         self.begun = [*getattr(self, "begun", []), robots.tolist()]
@@ -28,10 +28,10 @@ class Thinker(TurnToTarget):
         return super().act(env, observations)
 
 
-def test_traces_are_each_robots_first_episodes_whole_and_in_the_order_of_their_ends():
-    driver = Thinker()
+def test_traces_are_the_first_whole_episodes_of_each_robot_in_the_order_of_their_ends():
+    driver = RecordingDriver()
     driven = drive(driver, make_env(), QUOTA, seed=3, images=True)
-    env = make_env()  # the same once more: all steps of all robots, of which episodes are cut out
+    env = make_env()  # drive the same again: all steps of all robots, to be cut into episodes
     seen, infos = env.reset(seed=3)
     begins = [(infos["pose"], seen["image"].copy(), env.goals.copy())]
     steps = []
@@ -64,11 +64,11 @@ def test_traces_are_each_robots_first_episodes_whole_and_in_the_order_of_their_e
         assert trace.outcome == OUTCOMES[final["outcome"][r]]
         away = np.hypot(*(trace.goal - trace.poses[:-1, :2]).T)
         assert trace.activations["distance"] == pytest.approx(away, abs=1e-5)
-    told = [np.flatnonzero(done).tolist() for done in ended if done.any()]
-    assert driver.begun == [list(range(6)), *told[:len(driver.begun) - 1]]
+    resets = [np.flatnonzero(done).tolist() for done in ended if done.any()]
+    assert driver.begun == [list(range(6)), *resets[:len(driver.begun) - 1]]
 
 
-def test_range_readings_are_those_that_pymunk_finds_ray_by_ray():
+def test_range_readings_equal_those_of_pymunk_ray_by_ray():
     rooms = [scenes.load(name) for name in ("env1", "maze3", "lab", "random:5")]
     world = sim.World([rooms[k % 4] for k in range(12)])
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about files of weights and other files of a run."""
+"""Tests of weights files and of other files of a run."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from support.weights import FILE, load_model, save_model
 ROOMS = [scenes.load("env1"), scenes.load("env2")]
 
 
-def test_a_file_that_fails_while_it_is_written_leaves_the_old_one(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path):
     write(tmp_path / "a.txt", "old\n")
 
     def fail(file):
@@ -32,13 +32,13 @@ def test_a_file_that_fails_while_it_is_written_leaves_the_old_one(tmp_path):
 
 
 def test_a_table_is_read_without_its_comments(tmp_path):
-    write(tmp_path / "a.csv", "# made by hand\na,b\n1,\"x,y\"\n# no more\n2,\n")
+    write(tmp_path / "a.csv", "# a comment\na,b\n1,\"x,y\"\n# another\n2,\n")
     assert read_table(tmp_path / "a.csv") == [{"a": "1", "b": "x,y"}, {"a": "2", "b": ""}]
 
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """A network, and the file that it is saved in."""
+    """A network and the file that holds its weights."""
     file = tmp_path_factory.mktemp("saved") / FILE
     model = make_network(3, "single", "target", (0.5, 2.0))
     save_model(file, model, ROOMS)
@@ -46,26 +46,26 @@ def saved(tmp_path_factory):
 
 
 def are_same(model, other):
-    """Returns whether two networks are alike, to the last bit."""
+    """Returns whether two networks are equal to the last bit."""
     return (model.memory, model.without) == (other.memory, other.without) and all(
         torch.equal(value, other.state_dict()[name]) for name, value in model.state_dict().items())
 
 
-def test_saved_weights_come_back_with_their_network_and_rooms(saved):
+def test_saved_weights_are_loaded_with_their_network_and_rooms(saved):
     model, file = saved
     for path in (file, file.parent, str(file)):
         loaded, rooms = load_model(path)
         assert rooms == ROOMS and are_same(loaded, model)
 
 
-def test_a_run_under_way_offers_its_newest_weights(saved, tmp_path):
+def test_a_run_under_way_has_its_newest_weights_on_disk(saved, tmp_path):
     for path, words in ((tmp_path, "has no model.safetensors yet"), ("a\0b", "does not exist")):
-        with pytest.raises(RunError, match=f"{words}: it must be a run's folder or a .safetensors"):
+        with pytest.raises(RunError, match=f"{words}: it must be a run folder or a .safetensors"):
             load_model(path)
     folder = RunFolder(tmp_path)
     model = make_network(1)
     folder.offer_weights(model, ROOMS, now=True)
-    folder.offer_weights(saved[0], ROOMS)  # the last ones are not ten seconds old
+    folder.offer_weights(saved[0], ROOMS)  # ignored: the last write was less than ten seconds ago
     assert are_same(load_model(tmp_path)[0], model)
 
 
@@ -73,10 +73,10 @@ def test_a_run_under_way_offers_its_newest_weights(saved, tmp_path):
     ("value_head.bias", torch.zeros(2), {}, "size mismatch for value_head.bias"),
     ("value_head.bias", torch.tensor([torch.nan]), {}, "its weights are not all finite"),
     ("other", torch.zeros(1), {}, "Unexpected key(s) in state_dict: \"other\""),
-    (None, None, {"memory": "big"}, "it holds no network of this version"),
+    (None, None, {"memory": "big"}, "it is not a network of this version"),
     (None, None, {"scenes": 3}, "")])
-def test_what_is_wrong_with_a_file_of_weights_is_said_in_one_sentence(name, value, about, words,
-                                                                      saved, tmp_path):
+def test_a_bad_weights_file_gives_one_sentence_with_the_reason(name, value, about, words, saved,
+                                                               tmp_path):
     file = shutil.copy(saved[1], tmp_path)
     with safe_open(file, "pt") as content:
         weights = {key: content.get_tensor(key) for key in content.keys()}
@@ -86,7 +86,7 @@ def test_what_is_wrong_with_a_file_of_weights_is_said_in_one_sentence(name, valu
     save_file(weights, file, {"navbot_min": json.dumps(metadata | about)})
     with pytest.raises(RunError) as error:
         load_model(file)
-    assert str(error.value).startswith(f"'{file}' holds no weights of this program: ")
+    assert str(error.value).startswith(f"'{file}' has no weights of this program: ")
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
@@ -99,9 +99,9 @@ class Code:
 
 @pytest.mark.parametrize("content", [
     b"", pickle.dumps(Code()), (2 ** 60).to_bytes(8, "little") + b"{}"])
-def test_another_file_is_refused_and_nothing_of_it_is_executed(content, tmp_path, monkeypatch):
+def test_an_untrusted_file_is_refused_and_nothing_in_it_is_executed(content, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("bad.safetensors").write_bytes(content)
-    with pytest.raises(RunError, match="^'bad.safetensors' holds no weights of this program: "):
+    with pytest.raises(RunError, match="^'bad.safetensors' has no weights of this program: "):
         load_model("bad.safetensors")
     assert not Path("executed").exists()

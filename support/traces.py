@@ -1,4 +1,4 @@
-"""Drives episodes: the one loop behind evaluation, film and demo, and what it keeps of them.
+"""Drives episodes and records them: the loop that evaluation, film and demo share. Axis letters:
 R robots, T steps of an episode, H = 48 and W = 64 image rows and columns."""
 
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from sim import CONTROL_PERIOD, Scene, wrap_angle
 class Trace:
     """One whole episode. Step t leads from pose and image t to pose and image t + 1."""
     scene: Scene
-    target: int  # index into scene.targets; without meaning if episodes lead anywhere
-    new: bool  # whether that target is only for tests
+    target: int  # index into scene.targets; has no meaning for random targets
+    new: bool  # whether this is a new target
     goal: np.ndarray  # (2,) [m]
     poses: np.ndarray  # (T + 1, 3) [m, m, rad]
-    commands: np.ndarray  # (T, 2) [m/s, rad/s] as executed
+    commands: np.ndarray  # (T, 2) [m/s, rad/s], as executed
     rewards: np.ndarray  # (T,)
     outcome: str  # one of the environment's `outcomes`
-    images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, if they were asked for
-    activations: dict | None = None  # of (T, ...) arrays, what the driver kept in its `activations`
-    stops: int = 0  # periods in which the ring's sensors refused to drive on
-    label: str = ""  # words below its film
+    images: np.ndarray | None = None  # (T + 1, H, W, 3) uint8, if requested
+    activations: dict | None = None  # (T, ...) arrays from the driver's `activations`
+    stops: int = 0  # steps in which the ring of range sensors stopped the robot
+    label: str = ""  # caption of its film
 
     def __post_init__(self):
         self.start = self.poses[0]
         self.seconds = len(self.commands) * CONTROL_PERIOD
-        # A collision stops the robot earlier than its last command says.
+        # A robot that collides stops during its last step, so this is slightly too large.
         self.metres = float(self.commands[:, 0].sum() * CONTROL_PERIOD)
         self.arrived = self.outcome == "arrival"
 
@@ -54,10 +54,10 @@ def trace_of(env, r, steps, infos, images):
 
 
 class TurnToTarget:
-    """The demo's driver: turns to the target, and drives when it is ahead. Blind to walls."""
+    """The demo's driver: turns to the target, and drives if it is ahead. It ignores walls."""
 
     def reset(self, env, robots):
-        """Remembers nothing."""
+        """Does nothing: this driver has no memory."""
 
     def act(self, env, observations):
         """Returns actions (R, 2)."""
@@ -66,21 +66,21 @@ class TurnToTarget:
 
 
 def drive(driver, env, quota, seed=0, images=False):
-    """Drives until every robot has its quota of episodes; returns their Traces, in the order in
-    which they end.
+    """Drives until every robot has completed its quota of episodes. Returns their Traces, in the
+    order in which they end.
 
     driver: has `reset(env, robots)`, called with the indices of robots whose episodes begin, and
-    `act(env, observations)`, which returns actions (R, 2); and may have `activations`, a dict of
-    (R, ...) arrays that are worth keeping of its last `act`. quota: how many episodes count, of
-    each robot its first ones; (R,), or one for all. images: whether to keep what the camera saw.
+    `act(env, observations)`, which returns actions (R, 2). It may have `activations`, a dict of
+    (R, ...) arrays to record from its last `act`. quota: number of each robot's first episodes to
+    record, (R,) or one number for all. images: whether to record the camera images.
 
-    Which episodes count is fixed before they start: counting the first n that end would favour
-    short ones, the collisions. A robot that has its quota drives on, and nothing of it is kept.
+    The quotas are fixed before the episodes start: the first n episodes to end would be mostly
+    short ones, collisions. After its quota a robot continues, but is no longer recorded.
     """
-    left = np.broadcast_to(quota, env.num_envs).copy()  # (R,) episodes that are still to come
+    left = np.broadcast_to(quota, env.num_envs).copy()  # (R,) episodes still to record
     observations, _ = env.reset(seed=seed)
     driver.reset(env, np.arange(env.num_envs))
-    under_way = {r: [] for r in np.flatnonzero(left)}  # robot -> the steps of its episode
+    under_way = {r: [] for r in np.flatnonzero(left)}  # robot -> steps of its episode
     traces = []
     bar = tqdm(total=left.sum(), unit=" episodes", leave=False, disable=None)
     while under_way:
@@ -92,7 +92,7 @@ def drive(driver, env, quota, seed=0, images=False):
         observations, rewards, terminated, truncated, infos = env.step(actions)
         step |= {"pose": infos["pose"], "command": infos["command"], "reward": rewards}
         for steps in under_way.values():
-            steps.append(step)  # one dict for all of them
+            steps.append(step)  # all robots share the dict
         done = terminated | truncated
         for r in np.flatnonzero(done & (left > 0)):
             traces.append(trace_of(env, r, under_way.pop(r), infos, images))

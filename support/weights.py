@@ -1,4 +1,4 @@
-"""Weights as a file, `model.safetensors`. Nothing in such a file can be executed."""
+"""Saves and loads weights, `model.safetensors`. Nothing in such a file can be executed."""
 
 import json
 from dataclasses import asdict
@@ -16,7 +16,7 @@ FORMAT = "navbot_min 3"
 
 
 def save_model(path, model, scenes):
-    """Writes the weights, and what rebuilds the network and the rooms it learned in, as metadata.
+    """Writes the weights, with a description of the network and of its training rooms as metadata.
     Raises OSError."""
     about = {"format": FORMAT, "memory": model.memory, "without": model.without,
              "scenes": [asdict(scene) for scene in scenes]}
@@ -25,20 +25,20 @@ def save_model(path, model, scenes):
 
 
 def load_model(path):
-    """Returns the Network and the list of Scenes of a run's folder or of a file of weights. Of a
-    run under way these are the newest weights. Raises RunError."""
+    """Returns the Network and the list of Scenes of a run folder or a weights file. While a run is
+    under way, these are its newest weights. Raises RunError."""
     path = Path(path)
     file = path / FILE if path.is_dir() else path
     if not file.exists():
         missing = f"has no {FILE} yet" if path.is_dir() else "does not exist"
-        raise RunError(f"run '{path}' {missing}: it must be a run's folder or a .safetensors file")
+        raise RunError(f"run '{path}' {missing}: it must be a run folder or a .safetensors file")
     try:
         with safe_open(file, "pt") as content:
             about = json.loads((content.metadata() or {})["navbot_min"])
             weights = {name: content.get_tensor(name) for name in content.keys()}
         known = about["memory"] in MEMORIES and about["without"] in BLANKS
         if about["format"] != FORMAT or not known:
-            raise ValueError("it holds no network of this version")
+            raise ValueError("it is not a network of this version")
         model = Network(about["memory"], about["without"])
         model.load_state_dict(weights)
         if not all(value.isfinite().all() for value in weights.values()):
@@ -46,4 +46,4 @@ def load_model(path):
         return model, [scene_files.rebuild(fields) for fields in about["scenes"]]
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:150]
-        raise RunError(f"'{file}' holds no weights of this program: {reason}") from None
+        raise RunError(f"'{file}' has no weights of this program: {reason}") from None
