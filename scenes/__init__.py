@@ -1,5 +1,5 @@
-"""Rooms as files: a TOML file such as `scenes/env1.toml` (docs/rooms.md) becomes a `sim.Scene`. A
-file is in metres and degrees, a Scene in metres and radians, both in world coordinates."""
+"""Loads rooms: a TOML file such as `scenes/env1.toml` (docs/rooms.md) becomes a `sim.Scene`. Files
+are in metres and degrees, Scenes in metres and radians, both in world coordinates."""
 
 import math
 import os
@@ -12,9 +12,9 @@ import numpy as np
 from scenes import generate
 from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, SceneError
 
-MATERIALS = ("wall", "brick", "wood")  # those that the camera has a texture for
+MATERIALS = ("wall", "brick", "wood")  # the camera has a texture for each
 SCENE_FOLDER = Path(__file__).parent
-WORLDS = (".world", ".sdf")  # suffixes of Gazebo's files
+WORLDS = (".world", ".sdf")  # suffixes of Gazebo worlds
 # Limits, our choice: in a huge room everything takes minutes.
 MOST_BOXES = 128
 MOST_TARGETS = 1024
@@ -22,16 +22,16 @@ WIDEST = 30  # [m]
 LARGEST = 10 ** 6  # [m] or [degrees]
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 1
-shown = SHORT.repr  # of a value in a message: one line, cut if it is long or nested
+shown = SHORT.repr  # formats a value for a message: one line, shortened if long or nested
 
 
 def names():
-    """Returns the names of the rooms that come with the project, sorted."""
+    """Returns the names of the rooms in this folder, sorted."""
     return sorted(path.stem for path in SCENE_FOLDER.glob("*.toml"))
 
 
 def find(name):
-    """Returns the Path of a room's file, by its name or its path; None for random rooms."""
+    """Returns the Path of a room's file, given a name or path; None for random rooms."""
     if name == "random" or name.startswith(generate.PREFIX):
         return None
     return SCENE_FOLDER / f"{name}.toml" if name in names() else Path(name)
@@ -39,7 +39,7 @@ def find(name):
 
 def load(name_or_path):
     """Returns the Scene of a name in `scenes/`, of `random:SEED`, or of the path of a scene file or
-    a Gazebo world. Raises SceneError, one sentence that names the file and the item."""
+    a Gazebo world. Raises SceneError with one sentence that names the file and the item."""
     name = str(name_or_path)
     path = find(name)
     if path is None:
@@ -47,7 +47,7 @@ def load(name_or_path):
     check(path.suffix or os.path.isfile(path), f"unknown scene {shown(name)}: it must be one of "
           f"{', '.join(names())}, random:SEED, or the path of a scene file")
     try:
-        text = path.read_text("utf-8-sig")  # some editors begin a file with a byte order mark
+        text = path.read_text("utf-8-sig")  # some editors write a byte order mark first
         if path.suffix.lower() in WORLDS:
             from scenes.world_file import parse_world
             return parse_world(text, path.stem)
@@ -58,18 +58,18 @@ def load(name_or_path):
 
 
 def rebuild(fields):
-    """Returns the Scene that `dataclasses.asdict` made a dict of, as a file of weights holds it: in
-    radians, each start as (x, y, heading). Raises SceneError, KeyError or TypeError."""
+    """Returns a Scene from its `dataclasses.asdict`, the form in weights files: in radians, starts
+    as (x, y, heading). Raises SceneError, KeyError or TypeError."""
     name = fields["name"]
     valid = isinstance(name, str) and name.isprintable() and name.strip(".")
-    check(valid and Path(name).name == name,  # it becomes a part of a file's name
-          f"name is {shown(name)}, it must be printable and without a folder")
+    check(valid and Path(name).name == name,  # it becomes part of file names
+          f"name is {shown(name)}; it must be printable and contain no folder")
     return parse({key: fields[key] for key in fields if key != "name"}, name, in_degrees=False)
 
 
 def parse(table, name, in_degrees=True):
-    """Returns the Scene of a dict like the content of a scene file, in world coordinates, with
-    angles in degrees or in radians. Raises SceneError."""
+    """Returns the Scene of a dict with the content of a scene file, with angles in degrees or in
+    radians. Raises SceneError."""
     check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene",
                optional=("other_starts", "reality"))
     reality = table.get("reality")
@@ -87,40 +87,40 @@ def parse(table, name, in_degrees=True):
     check_width(scene)
     for start in (scene.start, *scene.other_starts):
         check(scene.clearance(start[:2]) > ROBOT_RADIUS,
-              f"start {start[:2]} is nearer to a box than the robot's {ROBOT_RADIUS} m")
+              f"start {start[:2]} is nearer to a box than the robot's radius, {ROBOT_RADIUS} m")
     for kind in ("training_targets", "new_targets"):
         for k, target in enumerate(getattr(scene, kind)):
             [away] = distance_to_nearest([target], scene.reachable)
             check(away < ARRIVAL_DISTANCE, f"{kind}[{k}] {target} cannot be reached from the start")
     for target in scene.new_targets:
-        check(target not in scene.training_targets, f"{target} is a training target and a new one")
+        check(target not in scene.training_targets, f"{target} is a training and a new target")
     return scene
 
 
 def each(table, key, least, most, read_entry, argument):
-    """Returns a tuple of what read_entry makes of each entry of the list under a key."""
+    """Returns a tuple: the list under a key with read_entry applied to each entry."""
     entries = table.get(key, ())
     check(isinstance(entries, (list, tuple)) and least <= len(entries) <= most,
-          f"{key} is {shown(entries)}, it must be a list of {least} to {most:,} entries")
+          f"{key} is {shown(entries)}; it must be a list of {least} to {most:,} entries")
     return tuple(read_entry(entry, f"{key}[{k}]", argument) for k, entry in enumerate(entries))
 
 
 def box_of(table, what, in_degrees):
-    """Returns the Box of a table. what: its name in messages, as everywhere below."""
+    """Returns the Box of a table. what: its name in messages, here and in the functions below."""
     keys = ("x", "y", "yaw_degrees" if in_degrees else "yaw", "length", "thickness", "height")
     check_keys(table, ("material", *keys), what)
     material = table["material"]
-    check(material in MATERIALS, f"{what}.material is {shown(material)}, it must be one of "
+    check(material in MATERIALS, f"{what}.material is {shown(material)}; it must be one of "
                                  f"{', '.join(MATERIALS)}")
     x, y, yaw, *size = [number(table[key], f"{what}.{key}") for key in keys]
-    # The camera draws no tops of boxes, so all boxes are higher than the camera.
+    # The camera does not draw the tops of boxes, so all boxes must be higher than the camera.
     for key, low in (("length", 0), ("thickness", 0), ("height", CAMERA_HEIGHT)):
-        check(table[key] > low, f"{what}.{key} is {table[key]}, it must be above {low}")
+        check(table[key] > low, f"{what}.{key} is {table[key]}; it must be above {low}")
     return Box(material, x, y, math.radians(yaw) if in_degrees else yaw, *size)
 
 
 def pose_of(value, what, in_degrees):
-    """Returns a pose (x [m], y [m], heading [rad]): a table in degrees, or a list in radians."""
+    """Returns a pose (x [m], y [m], heading [rad]) from a table in degrees or a list in radians."""
     if not in_degrees:
         return numbers(value, what, 3)
     keys = ("x", "y", "heading_degrees")
@@ -130,9 +130,9 @@ def pose_of(value, what, in_degrees):
 
 
 def numbers(value, what, count, *limits):
-    """Returns a list of this many numbers, each within limits, as a tuple of floats."""
+    """Returns a list of `count` numbers, each within the limits, as a tuple of floats."""
     check(isinstance(value, (list, tuple)) and len(value) == count,
-          f"{what} is {shown(value)}, it must be a list of {count} numbers")
+          f"{what} is {shown(value)}; it must be a list of {count} numbers")
     return tuple(number(item, f"{what}[{k}]", *limits) for k, item in enumerate(value))
 
 
@@ -140,13 +140,13 @@ def number(value, what, low=-LARGEST, high=LARGEST):
     """Returns a number from low to high as a float."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     check(is_number and low <= value <= high,  # false for nan as well
-          f"{what} is {shown(value)}, it must be a number from {low:.7g} to {high:.7g}")
+          f"{what} is {shown(value)}; it must be a number from {low:.7g} to {high:.7g}")
     return float(value)
 
 
 def check_keys(table, keys, what, optional=()):
-    """Checks that a table has these keys, and no others except optional ones."""
-    check(isinstance(table, dict), f"{what} is {shown(table)}, it must be a table")
+    """Checks that a table has all these keys, and no others except the optional ones."""
+    check(isinstance(table, dict), f"{what} is {shown(table)}; it must be a table")
     for key in keys:
         check(key in table, f"{what} has no '{key}'")
     known = (*keys, *optional)
@@ -155,10 +155,10 @@ def check_keys(table, keys, what, optional=()):
 
 
 def check_width(scene):
-    """Checks how far the boxes are spread."""
+    """Checks the extent of all boxes together."""
     widest = np.ptp(scene.bounds, axis=0).max()
     check(widest <= WIDEST,
-          f"the boxes are spread over {widest:.1f} m, it must be at most {WIDEST} m")
+          f"the boxes extend over {widest:.1f} m; it must be at most {WIDEST} m")
 
 
 def distance_to_nearest(points, others):
@@ -167,6 +167,6 @@ def distance_to_nearest(points, others):
 
 
 def check(valid, message):
-    """Raises SceneError with that message if something is not valid."""
+    """Raises SceneError with this message unless `valid` is true."""
     if not valid:
         raise SceneError(message)

@@ -1,5 +1,5 @@
-"""Random rooms: `random:SEED` names one, and the same seed always makes the same room. It has the
-size, boxes, passages and blocked lines of sight of the released rooms, so it is as difficult.
+"""Makes random rooms: the same seed always gives the same room, `random:SEED`. Size, boxes,
+passages and blocked lines of sight resemble those of the released rooms, and so does difficulty.
 Axis letters: X, Y cells of a grid, L lines, B boxes, R robots, S sensors."""
 
 import functools
@@ -14,23 +14,23 @@ from sim import FAR_ENOUGH, ROBOT_RADIUS, Box, Scene, SceneError, flood
 
 PREFIX = "random:"
 MOST_SEED = 10 ** 9
-# All choices are ours. The values of the released rooms come after the semicolons.
-LENGTHS = (4.6, 5.4)  # [m] outer sides of a room; 5.0
-WIDTHS = (2.7, 3.3)  # [m]; 3.0
-BRICKS = (1.1, 2.2)  # [m] lengths; 1.15 to 1.73
-BRICK_FRACTION = 0.6  # of the obstacles; 12 of 22
-BLOCKED = (0.35, 0.85)  # fraction of lines that obstacles block, drawn first; 0.41 to 0.82
-NEAR = 0.05  # tolerance of that fraction
-MEETS_BRICK = 0.4  # fraction of the bricks that form an L or a T with another one
-MEETS_WALL = 0.4  # fraction of the other bricks that reach from a wall into the room
-CLOSED = 0.3  # [m] gaps up to this width count as closed; the robot needs 0.36
-NARROWEST = 0.42  # [m] passages; 0.41 in maze 4
-MOST_OBSTACLES = 8  # in a room; 4 or 5
-TRIES = 100  # to place an obstacle
-LINES = 2000  # for the blocked fraction of a room that is being made
-MEASURED = 5000  # the same of a finished room
-MOST_KEPT = 128  # rooms in memory, 0.3 MB each
-CONNECTED = 0.97  # least fraction of the robot's floor that is in one piece
+# All values are our choice. After a semicolon comes the value in the released rooms.
+LENGTHS = (4.6, 5.4)  # [m] outer length of the room; 5.0
+WIDTHS = (2.7, 3.3)  # [m] outer width; 3.0
+BRICKS = (1.1, 2.2)  # [m] length of a brick; 1.15 to 1.73
+BRICK_FRACTION = 0.6  # fraction of obstacles that are bricks; 12 of 22
+BLOCKED = (0.35, 0.85)  # range of the fraction of straight lines that obstacles block; 0.41 to 0.82
+NEAR = 0.05  # tolerance of the blocked fraction
+MEETS_BRICK = 0.4  # fraction of bricks that form an L or a T with another one
+MEETS_WALL = 0.4  # fraction of the other bricks that begin at a wall
+CLOSED = 0.3  # [m] gaps up to this width are closed to the robot, which needs 0.36
+NARROWEST = 0.42  # [m] narrowest passage; 0.41 in maze 4
+MOST_OBSTACLES = 8  # maximum number per room; 4 or 5
+TRIES = 100  # attempts to place obstacles per room
+LINES = 2000  # number of lines to estimate the blocked fraction while a room is made
+MEASURED = 5000  # number of lines to estimate it in a finished room
+MOST_KEPT = 128  # rooms kept in memory, 0.3 MB each
+CONNECTED = 0.97  # minimum fraction of the free floor that is in one piece
 
 
 def seed_of(name):
@@ -48,7 +48,7 @@ def room(seed):
     rng = np.random.default_rng(seed)
     wanted = rng.uniform(*BLOCKED)
     share = 0.0
-    while share < wanted - NEAR:  # too few boxes have found a place
+    while share < wanted - NEAR:  # start again: too few boxes fitted
         length = rng.uniform(*LENGTHS)
         width = rng.uniform(*WIDTHS)
         boxes, share = furnished(rng, wanted, length, width)
@@ -56,17 +56,17 @@ def room(seed):
 
 
 def furnished(rng, wanted, length, width):
-    """Returns a list of boxes, and the fraction of lines that they block: about the wanted one, or
-    less. A box that is tried stays if the gaps around it are clear, not too many lines are blocked,
-    and the robot can still drive from nearly everywhere to nearly everywhere."""
+    """Returns a list of boxes and the fraction of lines that they block: about the wanted one, or
+    less. Obstacles are drawn one by one. One is kept if the gaps around it are clear, not too many
+    lines are blocked, and nearly all of the free floor is still connected."""
     right_angles = rng.random() < 0.5
     boxes = walls(length, width)
     empty = as_scene(boxes)
     x, y = [np.arange(low, high, GRID) for low, high in zip(*empty.bounds)]
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
     clearance = empty.clearance(grid)  # (X, Y) [m]
-    ends = rng.uniform(*empty.bounds, (2, LINES, 2))  # (2, L, 2) [m] of straight lines
-    # A line counts if the robot fits on both of its ends, and they are far apart.
+    ends = rng.uniform(*empty.bounds, (2, LINES, 2))  # (2, L, 2) [m] ends of straight lines
+    # A line counts if the robot fits at both ends and they are far enough apart.
     counts = (empty.clearance(ends) > ROBOT_RADIUS).all(0)  # (L,)
     counts &= np.hypot(*(ends[1] - ends[0]).T) >= FAR_ENOUGH
     blocked = np.zeros(LINES, bool)
@@ -88,7 +88,7 @@ def furnished(rng, wanted, length, width):
         clearance = new_clearance
         counts = new_counts
         blocked = new_blocked
-        # Drawn only after a success: else bricks, which fit less often, become rarer.
+        # Redrawn only after a success: otherwise bricks, which fit less often, would become rarer.
         is_brick = rng.random() < BRICK_FRACTION
         if share >= wanted or len(boxes) == 4 + MOST_OBSTACLES:
             break
@@ -96,7 +96,7 @@ def furnished(rng, wanted, length, width):
 
 
 def walls(length, width):
-    """Returns the four outer walls of a room around the origin, as in the released rooms."""
+    """Returns the four outer walls of a room around the origin, with the released dimensions."""
     x = length / 2 - 0.075
     y = width / 2 - 0.075
     return [Box("wall", -x, 0.0, -math.pi / 2, width, 0.15, 2.5),
@@ -106,7 +106,7 @@ def walls(length, width):
 
 
 def obstacle(rng, is_brick, boxes, length, width, right_angles):
-    """Draws a brick or a wooden box. Returns the Box, and the one that it is joined to or None."""
+    """Draws a brick or a wooden box. Returns the Box, and the Box that it is joined to or None."""
     yaw = rng.uniform(-math.pi, math.pi)
     if right_angles:
         yaw = rng.integers(4) * math.pi / 2
@@ -132,16 +132,16 @@ def obstacle(rng, is_brick, boxes, length, width, right_angles):
 
 
 def direction(yaw):
-    """Returns the unit vector (2,) along an angle [rad]."""
+    """Returns the unit vector (2,) in the direction of an angle [rad]."""
     return np.array((math.cos(yaw), math.sin(yaw)))
 
 
 def has_clear_gaps(boxes, joined):
-    """Returns whether the last box is in the room, overlaps only the box that it is joined to, and
-    leaves only gaps that are closed or passages."""
+    """Returns whether the last box is inside the room, overlaps only the box that it is joined to,
+    and leaves only gaps that are either closed or wide enough for the robot."""
     *others, last = boxes
     corners = last.corners
-    if (as_scene(boxes).bounds != as_scene(boxes[:4]).bounds).any():  # it sticks out
+    if (as_scene(boxes).bounds != as_scene(boxes[:4]).bounds).any():  # it is partly outside
         return False
     edge = np.concatenate([np.linspace(corners[k - 1], corners[k], 24, endpoint=False)
                            for k in range(4)])
@@ -158,15 +158,15 @@ def are_blocked(boxes, begin, end):
     return first_hit(boxes, begin, end - begin) < 1
 
 
-def first_hit(boxes, begin, way):
-    """Returns how far it is from begin (..., 2) along way (..., 2) to the first of B boxes, as a
-    multiple of the way, (...): infinity if it meets none, 0 inside a box."""
+def first_hit(boxes, begin, along):
+    """Returns the distances (...) from begin (..., 2) along vectors (..., 2) to the first of B boxes,
+    in lengths of the vectors: infinity if a ray meets no box, 0 inside a box."""
     x, y, yaw, length, thickness = np.array(
         [(box.x, box.y, box.yaw, box.length, box.thickness) for box in boxes]).T
-    turns = np.exp(-1j * yaw)  # into each box's axes
+    turns = np.exp(-1j * yaw)  # rotations into the axes of each box
     first = (begin[..., :1] - x + 1j * (begin[..., 1:] - y)) * turns  # (..., B)
-    across = (way[..., :1] + 1j * way[..., 1:]) * turns
-    # A ray is in a box when it has entered between both pairs of faces, and has left neither.
+    across = (along[..., :1] + 1j * along[..., 1:]) * turns
+    # Slab method: a ray is inside a box while it is between both pairs of opposite faces.
     enters = 0.0
     leaves = np.inf
     for place, speed, side in ((first.real, across.real, length),
@@ -180,22 +180,22 @@ def first_hit(boxes, begin, way):
 
 
 def range_readings(world, angles, max_range):
-    """Returns the distances (R, S) [m] from the centre of each of R robots of a `sim.World` to the
-    first wall, at most max_range [m], along rays at angles (S,) [rad] from its heading."""
+    """Returns the distances (R, S) [m] from the robots of a `sim.World` to the first wall, at most
+    max_range [m], along rays at angles (S,) [rad] from their headings."""
     headings = world.poses[:, 2:] + np.asarray(angles)  # (R, S)
-    ways = np.stack([np.cos(headings), np.sin(headings)], -1)  # (R, S, 2)
-    met = np.empty(headings.shape)
+    rays = np.stack([np.cos(headings), np.sin(headings)], -1)  # (R, S, 2) unit vectors
+    distances = np.empty(headings.shape)
     rooms = np.array([id(scene) for scene in world.scenes])
     for room in set(rooms):
         robots = np.flatnonzero(rooms == room)
         boxes = world.scenes[robots[0]].boxes
-        met[robots] = first_hit(boxes, world.poses[robots, None, :2], ways[robots])
-    return np.minimum(met, max_range)
+        distances[robots] = first_hit(boxes, world.poses[robots, None, :2], rays[robots])
+    return np.minimum(distances, max_range)
 
 
 def share_blocked(scene):
-    """Returns the fraction, in [0, 1], of straight lines between two reachable places 1 m or more
-    apart that a box blocks: how much there is to drive around."""
+    """Returns the fraction, in [0, 1], of straight lines between random reachable places, 1 m or
+    more apart, that a box blocks."""
     rng = np.random.default_rng(0)
     begin, end = scene.reachable[rng.integers(len(scene.reachable), size=(2, MEASURED))]
     apart = np.hypot(*(end - begin).T) >= FAR_ENOUGH
@@ -203,5 +203,5 @@ def share_blocked(scene):
 
 
 def as_scene(boxes):
-    """Returns a Scene of these boxes without targets, for its geometry."""
+    """Returns a Scene of these boxes without targets, for geometric queries."""
     return Scene("", tuple(boxes), (0.0, 0.0, 0.0), (), ())

@@ -1,6 +1,6 @@
-"""Chooses a start and targets for a room whose file has none. Of equally good places the first one
-counts, by x, then by y. Distances are rounded to a micrometre before they are compared, so that all
-machines choose the same. Axis letters: X, Y cells of a grid."""
+"""Chooses a start and targets for a room whose file has none. Among equally good places it takes
+the first one by x, then by y. Distances are rounded to a micrometre before they are compared, so
+that all machines make the same choice. Axis letters: X, Y cells of a grid."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from sim import ROBOT_RADIUS, Scene, SceneError, flood
 
-GRID = 0.05  # [m] on which the start is searched for
-MARGIN = 0.1  # [m] between the robot's disc at a target and any box; the paper's rooms: 0.1
-APART = 0.2  # [m] between targets at least, and from the start: farther than an arrival
-TIE = 1e-6  # [m] below which distances count as equal
+GRID = 0.05  # [m] cell size of the grid on which the start is searched
+MARGIN = 0.1  # [m] minimum gap between a robot at a target and any box, as in the paper's rooms
+APART = 0.2  # [m] minimum distance between targets, and to the start; above ARRIVAL_DISTANCE
+TIE = 1e-6  # [m] distances that differ by less count as equal
 TRAINING_TARGETS = 10  # as in env2
 NEW_TARGETS = 2
 
 
 def complete(name, boxes):
-    """Returns the Scene of these boxes with a start and targets of our choice. Raises SceneError if
-    the boxes do not enclose a room, or if the robot cannot drive in it."""
+    """Returns the Scene of these boxes with a chosen start and targets. Raises SceneError if the
+    boxes do not enclose a room or the robot cannot drive in it."""
     scene = Scene(name, tuple(boxes), (0.0, 0.0, 0.0), (), ())
     scene = replace(scene, start=freest_place(scene))
     targets = spread(scene, TRAINING_TARGETS + NEW_TARGETS)
@@ -30,7 +30,7 @@ def complete(name, boxes):
 
 
 def freest_place(scene):
-    """Returns the pose, heading along x, at the inner place that is farthest from all boxes."""
+    """Returns a pose, heading along x, at the place inside the room farthest from all boxes."""
     x, y = [np.arange(low - GRID, high + 2 * GRID, GRID) for low, high in zip(*scene.bounds)]
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2) [m]
     free = are_clear(scene, grid, ROBOT_RADIUS)
@@ -44,14 +44,14 @@ def freest_place(scene):
 
 
 def spread(scene, most):
-    """Returns at most `most` reachable places (x, y), each the farthest from the start and all
-    earlier ones. They are more than APART apart, and MARGIN from boxes if the room allows."""
+    """Returns at most `most` reachable places (x, y). Each is the place farthest from the start and
+    all earlier ones. They are more than APART apart, and MARGIN from boxes if possible."""
     places = scene.reachable
     roomy = places[are_clear(scene, places, ROBOT_RADIUS + MARGIN)]
     if np.hypot(*(roomy - scene.start[:2]).T).max(initial=0) > APART:
         places = roomy
     chosen = []
-    away = np.full(len(places), np.inf)  # [m] from the start and all chosen
+    away = np.full(len(places), np.inf)  # [m] distance from the start and all chosen places
     x, y = scene.start[:2]
     for _ in range(most):
         away = np.minimum(away, np.hypot(places[:, 0] - x, places[:, 1] - y))
@@ -63,8 +63,8 @@ def spread(scene, most):
 
 
 def are_clear(scene, points, distance):
-    """Returns which of the points (..., 2) [m] are farther than a distance [m] from all boxes,
-    (...) bool: like `Scene.clearance`, but it looks only near each box."""
+    """Returns whether points (..., 2) [m] are farther than a distance [m] from all boxes, (...).
+    Faster than `Scene.clearance`, since it computes distances only near each box."""
     clear = np.ones(points.shape[:-1], bool)
     for box in scene.boxes:
         reach = np.ptp(box.corners, axis=0) / 2 + distance + TIE

@@ -1,13 +1,13 @@
-"""The errors of a real robot as numbers: the table `[reality]` of a scene file. A room without it
-is a simulation without errors. `robot/environment.py` applies the numbers."""
+"""The errors of a real robot: the table `[reality]` of a scene file. A room without this table has
+no errors. `robot/environment.py` simulates the errors."""
 
 import math
 from dataclasses import dataclass, field, fields
 
 from scenes import check, check_keys, number, numbers, shown
 
-APPEARANCES = ("simulation", "lab")  # of walls, floor, ceiling and light; robot/appearance.py
-ANGLES = ("camera_yaw", "camera_pitch")  # in degrees in a file, as `camera_yaw_degrees`
+APPEARANCES = ("simulation", "lab")  # walls, floor, ceiling and light; robot/appearance.py
+ANGLES = ("camera_yaw", "camera_pitch")  # files have these in degrees, as `camera_yaw_degrees`
 
 
 def error(default, low, high):
@@ -17,17 +17,17 @@ def error(default, low, high):
 
 @dataclass(frozen=True)
 class Reality:
-    """The errors of one room. The defaults are a simulation: no errors."""
+    """The errors of one room. The defaults mean no errors."""
     appearance: str = "simulation"
-    exposure: float = error(1.0, 0.2, 5.0)  # factor of all colours
-    white_balance: tuple = error((1.0, 1.0, 1.0), 0.2, 5.0)  # factors of red, green and blue
-    camera_yaw: float = error(0.0, -0.3, 0.3)  # [rad] of its mounting, to the left
-    camera_pitch: float = error(0.0, -0.3, 0.3)  # [rad] of its mounting, up
-    # Errors of odometry are drawn once per episode, from normal distributions with these standard
-    # deviations, and grow with the distance driven and the angle turned.
+    exposure: float = error(1.0, 0.2, 5.0)  # factor for all colours
+    white_balance: tuple = error((1.0, 1.0, 1.0), 0.2, 5.0)  # factors for red, green and blue
+    camera_yaw: float = error(0.0, -0.3, 0.3)  # [rad] mounting error, to the left
+    camera_pitch: float = error(0.0, -0.3, 0.3)  # [rad] mounting error, upwards
+    # Standard deviations of odometry errors. They are drawn once per episode, from normal
+    # distributions, and grow with the distance driven and the angle turned.
     distance_drift: float = error(0.0, 0.0, 1.0)  # [m/m]
     turn_drift: float = error(0.0, 0.0, 1.0)  # [rad/rad]
-    wheel_gains: tuple = error((1.0, 1.0), 0.2, 5.0)  # true speed over commanded, left and right
+    wheel_gains: tuple = error((1.0, 1.0), 0.2, 5.0)  # true over commanded speed, left and right
     image_delay: float = error(0.0, 0.0, 1.0)  # fraction of episodes with images one period late
 
 
@@ -35,13 +35,13 @@ ERRORS = {item.name: item for item in fields(Reality) if item.name != "appearanc
 
 
 def parse_reality(table, in_degrees):
-    """Returns the Reality of a scene file's table or, if not in_degrees, of a dict that
-    `dataclasses.asdict` made of one. Raises SceneError."""
+    """Returns the Reality of a scene file's table or, if not in_degrees, of the
+    `dataclasses.asdict` of a Reality. Raises SceneError."""
     suffix = "_degrees" if in_degrees else ""
     names = {name + suffix if name in ANGLES else name: name for name in ("appearance", *ERRORS)}
     check_keys(table, (), "reality", optional=names)
     appearance = table.get("appearance", "simulation")
-    check(appearance in APPEARANCES, f"reality.appearance is {shown(appearance)}, it must be one "
+    check(appearance in APPEARANCES, f"reality.appearance is {shown(appearance)}; it must be one "
           f"of {', '.join(APPEARANCES)}")
     values = {"appearance": appearance}
     for key in sorted(table.keys() - {"appearance"}):

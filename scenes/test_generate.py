@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about random rooms, most on the same 40."""
+"""Tests of random rooms, most of them on the same 40 rooms."""
 
 import functools
 from itertools import combinations
@@ -15,33 +15,33 @@ ROOMS = 40
 
 @functools.cache
 def rooms():
-    """Returns the first rooms."""
+    """Returns the rooms with seeds 0 to ROOMS - 1."""
     return [scenes.load(f"random:{seed}") for seed in range(ROOMS)]
 
 
 def obstacles(material):
-    """Returns the pairs of a room and an obstacle of that material."""
+    """Returns all pairs of a room and an obstacle of this material in it."""
     return [(room, box) for room in rooms() for box in room.boxes[4:] if box.material == material]
 
 
 def outline(box):
-    """Returns points (P, 2) all around a box."""
+    """Returns points (P, 2) on the outline of a box."""
     return np.linspace(box.corners, np.roll(box.corners, 1, axis=0), 100).reshape(-1, 2)
 
 
 @functools.cache
 def gap(one, other):
-    """Returns the distance [m] between two boxes, negative if they share floor."""
+    """Returns the distance [m] between two boxes, negative if they overlap."""
     return min(generate.as_scene([one]).clearance(outline(other)).min(),
                generate.as_scene([other]).clearance(outline(one)).min())
 
 
-def test_the_same_seed_makes_the_same_room_and_another_seed_another():
-    assert [generate.room.__wrapped__(seed) for seed in range(3)] == rooms()[:3]  # not from memory
+def test_the_same_seed_gives_the_same_room_and_other_seeds_give_others():
+    assert [generate.room.__wrapped__(seed) for seed in range(3)] == rooms()[:3]  # not cached
     assert len({room.boxes for room in rooms()}) == ROOMS
 
 
-def test_rooms_and_obstacles_have_the_sizes_of_the_released_ones():
+def test_rooms_and_obstacles_have_sizes_like_the_released_ones():
     for room in rooms():
         length, width = np.ptp(room.bounds, axis=0)
         assert 4.6 <= length <= 5.4 and 2.7 <= width <= 3.3
@@ -49,32 +49,32 @@ def test_rooms_and_obstacles_have_the_sizes_of_the_released_ones():
     assert all(1.1 <= brick.length <= 2.2 for _, brick in obstacles("brick"))
 
 
-def test_a_gap_is_closed_or_a_passage():
+def test_a_gap_is_either_closed_or_wide_enough():
     gaps = [gap(box, other) for room in rooms() for box, other in combinations(room.boxes, 2)]
     assert not any(0.3 < one < 0.42 for one in gaps)
     assert sum(0.02 < one <= 0.3 for one in gaps) > 20
     assert sum(0.42 <= one < 0.6 for one in gaps) > 20
 
 
-def test_everything_is_inside_its_room_and_only_joined_bricks_share_floor():
+def test_obstacles_are_inside_their_room_and_only_joined_bricks_overlap():
     for room, box in obstacles("brick") + obstacles("wood"):
         low, high = room.bounds
         assert (low <= box.corners).all() and (box.corners <= high).all()
         before = room.boxes[:room.boxes.index(box)]
-        sharing = [other.material for other in before if gap(box, other) < 0]
-        assert len(sharing) <= (box.material == "brick") and "wood" not in sharing, room.name
+        overlaps = [other.material for other in before if gap(box, other) < 0]
+        assert len(overlaps) <= (box.material == "brick") and "wood" not in overlaps, room.name
 
 
-def test_nearly_all_of_the_floor_can_be_reached():
+def test_nearly_all_of_the_free_floor_is_reachable():
     for room in rooms():
         low, high = room.bounds
         x, y = (np.arange(a, b, CELL) for a, b in zip(low + 0.15, high - 0.15))  # between the walls
         free = room.clearance(np.stack(np.meshgrid(x, y), -1)) > ROBOT_RADIUS
-        # 0.97 by the grid of 5 cm that rooms are made with; this one is half as wide.
+        # The generator ensures 0.97 on a grid of 5 cm; this grid has 2.5 cm.
         assert len(room.reachable) > 0.955 * free.sum(), room.name
 
 
-def test_the_drawn_fraction_of_lines_between_places_1_m_apart_is_blocked():
+def test_the_blocked_fraction_of_lines_of_1_m_or_more_is_the_drawn_one():
     rng = np.random.default_rng(0)
     off = []
     for seed, room in enumerate(rooms()):
@@ -84,12 +84,12 @@ def test_the_drawn_fraction_of_lines_between_places_1_m_apart_is_blocked():
         lines = np.linspace(begin[apart][:400], end[apart][:400], 150, axis=1)
         drawn = np.random.default_rng(seed).uniform(0.35, 0.85)
         off.append((room.clearance(lines).min(1) < 0).mean() - drawn)
-    # Of 400 lines, four standard deviations are up to 0.1, and of the 2000 before up to 0.045.
+    # Four standard deviations are up to 0.1 for these 400 lines, up to 0.045 for the 2000 before.
     assert np.abs(off).max() < 0.05 + 0.12 and abs(np.mean(off)) < 0.03
 
 
 @pytest.mark.parametrize("seed", ["", "-1", "\u0663", "1000000001", "9" * 5000])
-def test_a_bad_seed_is_refused_in_a_sentence(seed):
+def test_a_bad_seed_gives_one_sentence(seed):
     with pytest.raises(SceneError, match="a whole number from 0 to 1,000,000,000$") as error:
         scenes.load(f"random:{seed}")
     assert len(str(error.value)) < 200

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about starts and targets that are chosen."""
+"""Tests of how a start and targets are chosen."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from sim import ROBOT_RADIUS, Box, SceneError
 
 
 def outline(*corners, thickness=0.1):
-    """Walls along the closed line through these corners (x, y) [m]."""
+    """Returns walls along the closed line through these corners (x, y) [m]."""
     walls = []
     for (x, y), (next_x, next_y) in zip(corners, corners[1:] + corners[:1]):
         yaw = math.atan2(next_y - y, next_x - x)
@@ -23,7 +23,7 @@ def outline(*corners, thickness=0.1):
 
 
 def square(half):
-    """A room from -half to half [m], between the inner faces of its walls."""
+    """Returns the walls of a square room; their inner faces are at -half and half [m]."""
     far = half + 0.05
     return outline((-far, -far), (far, -far), (far, far), (-far, far))
 
@@ -41,8 +41,8 @@ each_room = pytest.mark.parametrize("boxes", ROOMS.values(), ids=ROOMS)
 
 
 @pytest.mark.parametrize("name", sorted(ROOMS.keys() - {"L", "triangle"}))
-def test_the_start_is_the_freest_place(name):
-    """No place of a grid in these rectangular rooms is farther from the boxes."""
+def test_the_start_is_the_place_farthest_from_all_boxes(name):
+    """No point of a grid in these rectangular rooms is farther from the boxes."""
     scene = complete("room", ROOMS[name])
     x, y = [np.arange(low, high, GRID) for low, high in zip(*scene.bounds)]
     farthest = scene.clearance(np.stack(np.meshgrid(x, y), -1)).max()
@@ -61,14 +61,14 @@ def test_targets_are_reachable_and_apart(boxes):
 
 
 @pytest.mark.parametrize("name", SPACIOUS)
-def test_a_room_with_space_has_as_many_targets_as_env2_and_keeps_them_off_its_walls(name):
+def test_a_spacious_room_has_as_many_targets_as_env2_away_from_its_walls(name):
     scene = complete(name, ROOMS[name])
     assert (len(scene.training_targets), len(scene.new_targets)) == (10, 2)
     assert scene.clearance(scene.targets).min() > ROBOT_RADIUS + MARGIN - 0.001
 
 
 @each_room
-def test_a_choice_is_the_same_on_a_machine_that_rounds_differently(boxes):
+def test_rounding_errors_do_not_change_the_choice(boxes):
     moved = [replace(box, yaw=box.yaw + 1e-13, x=box.x - 1e-13) for box in boxes]
     ours = complete("room", boxes)
     theirs = complete("room", moved)
@@ -76,14 +76,14 @@ def test_a_choice_is_the_same_on_a_machine_that_rounds_differently(boxes):
     assert theirs.targets == pytest.approx(ours.targets, abs=1.1e-3)
 
 
-def test_of_two_rooms_side_by_side_the_one_with_more_space_is_used():
+def test_of_two_adjacent_rooms_the_one_with_more_space_is_used():
     assert (complete("two", [*OBLONG, WALL]).targets[:, 0] > 1.8).all()
     both = complete("two", [*OBLONG, WALL_WITH_A_DOOR]).targets[:, 0]
     assert both.min() < 1.8 < both.max()
 
 
 @pytest.mark.parametrize("half, training, new", [(0.325, 1, 0), (0.35, 2, 2)])
-def test_a_small_room_has_fewer_targets_but_one_to_train_on(half, training, new):
+def test_a_small_room_has_fewer_targets_but_at_least_one_training_target(half, training, new):
     scene = complete("small", square(half))
     assert (len(scene.training_targets), len(scene.new_targets)) == (training, new)
 
@@ -91,6 +91,6 @@ def test_a_small_room_has_fewer_targets_but_one_to_train_on(half, training, new)
 @pytest.mark.parametrize("boxes, words", [
     (square(2.0)[:3], "the boxes do not enclose a place that the robot fits into"),
     (square(0.3), "the robot can drive at most 0.2 m from the start")])
-def test_boxes_that_are_not_a_room_to_drive_in_are_refused(boxes, words):
+def test_boxes_in_which_no_robot_can_drive_are_refused(boxes, words):
     with pytest.raises(SceneError, match=words):
         complete("room", boxes)

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about rooms as data."""
+"""Tests of scene files and of the Scenes made from them."""
 
 import json
 import math
@@ -15,13 +15,13 @@ from sim import ROBOT_RADIUS, SceneError
 
 
 def box(**changes):
-    """A box of a scene file."""
+    """Returns a box as in a scene file."""
     return dict(material="wall", x=1.0, y=0.0, yaw_degrees=0.0, length=0.2, thickness=0.2,
                 height=2.5) | changes
 
 
 def square_room(half=2.0, thickness=0.1, extra=(), **changes):
-    """A scene file's content: a square room around the origin, `half` metres to each inner wall."""
+    """Returns a scene file's content: a square room with its walls `half` m from the origin."""
     side = 2 * half + 2 * thickness
     place = half + thickness / 2
     walls = [box(x=place * math.cos(math.radians(angle)), y=place * math.sin(math.radians(angle)),
@@ -52,7 +52,7 @@ RELEASED = {
 
 
 @pytest.mark.parametrize("name", RELEASED)
-def test_boxes_and_starts_are_the_released_ones(name):
+def test_boxes_and_starts_equal_the_released_ones(name):
     scene = scenes.load(name)
     boxes, offset, start = RELEASED[name]
     assert len(scene.boxes) == len(boxes)
@@ -63,7 +63,7 @@ def test_boxes_and_starts_are_the_released_ones(name):
     assert scene.start == pytest.approx(start, abs=1e-12, rel=0)
 
 
-def test_the_targets_of_the_test_rooms_are_the_released_one_and_those_of_our_rule():
+def test_targets_of_test_rooms_are_the_released_one_or_chosen_by_our_rule():
     maze0 = scenes.load("maze0")
     assert maze0.training_targets == ((-2.8, -4.0),) and maze0.new_targets == ()
     for name in ("maze3", "maze4"):
@@ -73,7 +73,7 @@ def test_the_targets_of_the_test_rooms_are_the_released_one_and_those_of_our_rul
         assert scene.targets == pytest.approx(chosen.targets, abs=0.0051)
 
 
-def test_a_room_is_loaded_by_name_or_by_file_with_or_without_a_byte_order_mark(tmp_path):
+def test_a_room_is_loaded_by_name_or_path_with_or_without_a_byte_order_mark(tmp_path):
     assert {"env1", "env2", "lab", "maze0", "maze3", "maze4"} == set(scenes.names())
     copy = tmp_path / "env2.toml"
     for mark in (b"", b"\xef\xbb\xbf"):
@@ -83,39 +83,39 @@ def test_a_room_is_loaded_by_name_or_by_file_with_or_without_a_byte_order_mark(t
 
 
 @pytest.mark.parametrize("name", ["env1", "maze0", "lab", "random:3"])
-def test_a_scene_comes_back_from_its_json_bit_for_bit(name):
+def test_a_scene_is_rebuilt_exactly_from_its_json(name):
     scene = scenes.load(name)
-    assert scenes.rebuild(json.loads(json.dumps(asdict(scene)))) == scene  # lists for tuples
+    assert scenes.rebuild(json.loads(json.dumps(asdict(scene)))) == scene  # JSON has lists
 
 
 @pytest.mark.parametrize("change, words", [
     (dict(training_targets=[[1.0, 0.0], [2.05, 0.0]]), "training_targets[1] (2.05, 0.0) cannot be"),
-    (dict(new_targets=[[math.nan, 0.0]]), "new_targets[0][0] is nan, it must be a number from -1"),
-    (dict(new_targets=[[1.0, 0.0]]), "(1.0, 0.0) is a training target and a new one"),
+    (dict(new_targets=[[math.nan, 0.0]]), "new_targets[0][0] is nan; it must be a number from -1"),
+    (dict(new_targets=[[1.0, 0.0]]), "(1.0, 0.0) is a training and a new target"),
     (dict(start=dict(x=1.9, y=0.0, heading_degrees=0)), "start (1.9, 0.0) is nearer to a box"),
     (dict(reality={"blur": 0.6}), "reality has an unknown key 'blur'; known: appearance, "),
     (dict(reality={"camera_yaw_degrees": 18}), "it must be a number from -17.18873 to 17.18873"),
     (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
-    (dict(boxes=[*square_room()["boxes"], box(x=28.0)]), "spread over 30.2 m, it must be at most"),
-    (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2, it must be above 0.281"),
+    (dict(boxes=[*square_room()["boxes"], box(x=28.0)]), "extend over 30.2 m; it must be at most"),
+    (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2; it must be above 0.281"),
     (dict(boxes=[box(length="x" * 999)]), "boxes[0].length is 'xxxx")])
-def test_a_bad_scene_is_one_sentence_that_names_the_item(change, words):
+def test_a_bad_scene_gives_one_sentence_that_names_the_item(change, words):
     with pytest.raises(SceneError, match=re.escape(words)) as error:
         scenes.parse(square_room() | change, "room")
     assert len(str(error.value)) < 200
 
 
-def test_a_scene_of_a_file_of_weights_stays_in_its_folder():
-    with pytest.raises(SceneError, match="^name is '../x', it must be printable"):
+def test_a_scene_name_in_a_weights_file_cannot_lead_to_another_folder():
+    with pytest.raises(SceneError, match="^name is '../x'; it must be printable"):
         scenes.rebuild(asdict(scenes.load("env1")) | dict(name="../x"))
 
 
-def test_the_reachable_fraction_of_an_empty_square_is_its_inner_square():
+def test_the_reachable_fraction_of_an_empty_square_is_that_of_its_inner_square():
     [percent] = re.findall(r"reachable: (\d+)%", facts(scenes.parse(square_room(2.0), "room")))
     assert int(percent) == pytest.approx(100 * (2.0 - ROBOT_RADIUS) ** 2 / 2.0 ** 2, abs=1)
 
 
-def test_a_room_is_drawn(capsys, tmp_path, monkeypatch):
+def test_the_program_draws_a_room(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main(["env2"])
     assert capsys.readouterr().out.startswith("env2.png\n5.00 m x 3.00 m, boxes: 8, ")
@@ -127,7 +127,7 @@ def test_a_room_is_drawn(capsys, tmp_path, monkeypatch):
     ("bad.toml", b"start = [", "scene file 'bad.toml' cannot be used: Invalid value"),
     ("bad.toml", b"x = " + b"[" * 10 ** 4, "scene file 'bad.toml' cannot be used: "),
     ("bad.toml", b"start = 1", "scene file 'bad.toml' cannot be used: the scene has no 'boxes'")])
-def test_an_unusable_room_is_one_line(name, content, words, capsys, tmp_path, monkeypatch):
+def test_an_unusable_room_gives_one_line(name, content, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if content is not None:
         Path(name).write_bytes(content)

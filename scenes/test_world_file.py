@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about Gazebo's worlds as rooms."""
+"""Tests of the loading of Gazebo worlds."""
 
 import math
 import re
@@ -15,14 +15,14 @@ MATERIALS = {"wall": "Gazebo/CeilingTiled", "brick": "Gazebo/Bricks", "wood": "G
 
 
 def pose(x, y, z, yaw):
-    """An upright pose as a world states it."""
+    """Returns the XML of an upright pose."""
     return f"<pose>{x!r} {y!r} {z!r} 0 -0 {yaw!r}</pose>"
 
 
 def link(name, box, place=(0, 0, 0)):
-    """A link of a model at that place (x, y, yaw) that has a box of the world there."""
+    """Returns the XML of a link with a box given in world coordinates. place: the model's pose."""
     material, x, y, yaw, length, thickness, height = box
-    along = x - place[0], y - place[1]  # the model's place, undone
+    along = x - place[0], y - place[1]  # relative to the model
     c = math.cos(place[2])
     s = math.sin(place[2])
     geometry = f"<geometry><box><size>{length} {thickness} {height}</size></box></geometry>"
@@ -36,12 +36,12 @@ def link(name, box, place=(0, 0, 0)):
 
 
 def model(links, place=(0, 0, 0), name="room"):
-    """A model at that place of links."""
+    """Returns the XML of a model with these links at a place (x, y, yaw)."""
     return f"<model name='{name}'>{pose(*place[:2], 0, place[2])}{''.join(links)}</model>"
 
 
 def world(*models):
-    """The text of a world of these models and of things that do not matter."""
+    """Returns the XML of a world with these models and with elements that do not matter."""
     return f"""<?xml version='1.0'?>
 <sdf version='1.6'><world name='default'>
   <light name='sun' type='directional'><pose>0 0 10 0.4 0 0</pose></light>
@@ -54,20 +54,20 @@ def world(*models):
 
 
 def links_of(boxes, place=(0, 0, 0)):
-    """A link for each of the boxes."""
+    """Returns a link for each of the boxes."""
     return [link(f"Wall_{k}", box, place) for k, box in enumerate(boxes)]
 
 
 def moved_and_stated_twice(boxes):
-    """The model is somewhere else, rotated by more than a turn, its links relative to it. Three
-    are stated twice, the first time with another pose, size and material."""
+    """Returns a world whose model is moved, and rotated by more than a turn, with links relative to
+    it. Three links occur twice, the first time with another pose, size and material."""
     place = (1.5, -0.7, 2.2)
     wrong = links_of([("wood", x + 1, y, 0.3, 1, 1, 1) for _, x, y, *_ in boxes[:3]])
     return world(model(wrong + links_of(boxes, place), (1.5, -0.7, 2.2 + 2 * math.pi)))
 
 
 def state_of_some(boxes):
-    """<state> gives the pose of the model, and of one link, which is elsewhere in the model."""
+    """Returns a world whose <state> gives the poses of the model and of one link."""
     place = (-1, 2, -0.6)
     first = links_of([("wall", 0, 0, 1, *boxes[0][4:])], place)
     _, x, y, yaw, *_ = boxes[0]
@@ -78,7 +78,7 @@ def state_of_some(boxes):
 
 @pytest.mark.parametrize("name", ["env1", "maze4"])
 @pytest.mark.parametrize("write", [moved_and_stated_twice, state_of_some])
-def test_a_world_has_the_boxes_of_the_scene_file(write, name):
+def test_a_world_gives_the_boxes_of_the_scene_file(write, name):
     ours = scenes.load(name)
     scene = parse_world(write([astuple(box) for box in ours.boxes]), name)
     assert scene.name == name and len(scene.boxes) == len(ours.boxes)
@@ -99,13 +99,13 @@ GOOD = world(model(links_of([*SQUARE, ("wood", 0.6, 0.6, 0, 0.3, 0.3, 0.6)])))
     "<collision><geometry><box><size>9 9 0.01</size></box></geometry></collision>",
     "<visual><geometry><box/></geometry></visual>",
     "<collision><geometry><box/></geometry></collision><sensor type='camera'/>"])
-def test_floors_sensors_and_what_is_only_seen_are_left_out(link):
+def test_floors_sensors_and_links_without_collisions_are_left_out(link):
     text = GOOD.replace("</model>", f"<link name='no box'>{link}</link></model>")
     assert len(parse_world(text, "room").boxes) == 5
 
 
 def test_a_link_may_have_several_collisions_each_with_its_place_and_material():
-    """A wall in two parts, as with a door between them."""
+    """The link is a wall in two parts, with a gap like a door between them."""
     parts = "".join(f"<collision><pose>{x} 0 0.5 0 0 1.5708</pose><geometry><box><size>0.3 0.2 1"
                     "</size></box></geometry></collision>" for x in (-0.5, 0.5))
     parts += "".join(f"<visual><material><script><name>{name}</name></script></material></visual>"
@@ -119,19 +119,19 @@ def test_a_link_may_have_several_collisions_each_with_its_place_and_material():
 
 @pytest.mark.parametrize("old, new, words", [
     (GOOD, "<!DOCTYPE a [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><a>&a;</a>", "undefined entity"),
-    (GOOD, "<robot/>", "it is a 'robot' of 0 worlds, it must be an 'sdf' of one"),
-    (GOOD, "<sdf><world/></sdf>", "no link has a box that stands on the floor"),
+    (GOOD, "<robot/>", "it is a 'robot' with 0 worlds; it must be an 'sdf' with one"),
+    (GOOD, "<sdf><world/></sdf>", "no link has a box on the floor"),
     ("<light", "<include><uri>model://table</uri></include><light", "it includes 'model://table'"),
-    ("<model name='room'>", "<model name='room'><model/>", "it has model/model, it must hold only"),
-    ("</world>", model(links_of(SQUARE * 31), name="b") + "</world>", "it has 129 boxes, it must"),
+    ("<model name='room'>", "<model name='room'><model/>", "it has model/model; it must hold only"),
+    ("</world>", model(links_of(SQUARE * 31), name="b") + "</world>", "it has 129 boxes; it must"),
     ("</world>", "<state><model name='room'><scale>2 1 1</scale></model></state></world>",
-     "model 'room' has the scale (2.0, 1.0, 1.0), it must be 1 1 1"),
-    ("<pose>0.6 0.6 0 0", "<pose>x 0.6 0 0", "'room'.pose is 'x 0.6 0 0 -0 0', it must be a list"),
-    ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 0 0.1", "has roll 0.1 and pitch -0, both must be 0"),
+     "model 'room' has the scale (2.0, 1.0, 1.0); it must be 1 1 1"),
+    ("<pose>0.6 0.6 0 0", "<pose>x 0.6 0 0", "'room'.pose is 'x 0.6 0 0 -0 0'; it must be a list"),
+    ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 0 0.1", "has roll 0.1 and pitch -0; both must be 0"),
     ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 1 0", "'Wall_4' of 'room' begins 1.00 m above the floor"),
-    (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "'room'.height is -0.6, it must be above 0"),
-    ("<box><size>0.3 0.3 0.6</size></box>", "<cylinder/>", "is a 'cylinder', it must be one box")])
-def test_a_world_that_is_not_a_room_is_one_sentence(old, new, words):
+    (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "'room'.height is -0.6; it must be above 0"),
+    ("<box><size>0.3 0.3 0.6</size></box>", "<cylinder/>", "is a 'cylinder'; it must be one box")])
+def test_a_world_that_is_not_a_room_gives_one_sentence(old, new, words):
     assert old in GOOD
     with pytest.raises(SceneError, match=re.escape(words)) as error:
         parse_world(GOOD.replace(old, new), "room")
@@ -141,7 +141,7 @@ def test_a_world_that_is_not_a_room_is_one_sentence(old, new, words):
 @pytest.mark.parametrize("name, content", [
     ("room.WORLD", GOOD.encode()), ("room.sdf", GOOD.encode("utf-8-sig")),
     ("room.world", GOOD.replace("1.0'", "1.0' encoding='UTF-16'").encode())])
-def test_a_world_is_utf_8_in_a_file_with_one_of_two_suffixes(name, content, tmp_path):
+def test_a_world_file_has_either_suffix_and_any_declared_encoding(name, content, tmp_path):
     path = tmp_path / name
     path.write_bytes(content)
     assert scenes.load(path) == parse_world(GOOD, "room")

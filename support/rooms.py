@@ -1,5 +1,5 @@
-"""Assigns a room to each robot of a training run. A given room stays the same. With random rooms,
-all robots change rooms at every stage, and a few drive in validation rooms, never trained on."""
+"""Assigns a room to each robot of a training run. A given room stays the same. Random rooms change
+at every stage, and a few robots drive in validation rooms, which are never trained on."""
 
 import functools
 from dataclasses import fields, replace
@@ -76,7 +76,7 @@ class GivenRooms:
         return False
 
     def by_kind(self, stage):
-        """Returns the Scenes of the evaluation after training: the last ones, and new ones."""
+        """Returns Scenes to evaluate after training: the last training rooms, and new ones."""
         return {"training": self.scenes, "new": []}
 
 

@@ -75,8 +75,8 @@ class RunFolder(ExitStack):
                 pass  # this file system has no locks
 
     def load_checkpoint(self):
-        """Sets `state` to the state of the last checkpoint, None if there is none, and cuts the
-        tables back to it. Nothing in the file is executed. Raises RunError, OSError."""
+        """Loads `state` from the last checkpoint, None without one, and cuts the tables back to it.
+        Nothing in the file is executed. Raises RunError, OSError."""
         file = self.path / CHECKPOINT
         saved = {"state": None, "sizes": [0, 0]}
         if file.exists():
@@ -85,7 +85,7 @@ class RunFolder(ExitStack):
                     if archive.testzip():  # torch does not compare checksums
                         raise ValueError
                 saved = torch.load(file, "cpu", weights_only=True)
-            except Exception as error:  # of zipfile, pickle or torch
+            except Exception as error:  # an error of zipfile, pickle or torch
                 raise RunError(f"'{file}' is damaged ({type(error).__name__}): the run cannot be "
                                "resumed, but its weights can be evaluated") from None
         for name, size in zip(TABLES, saved["sizes"]):
@@ -180,7 +180,7 @@ def resumed(config, given):
         changed = {"resume": config.resume, "json": config.json, "out": str(path)}
         kinds = {name: type(value) for name, value in (own | changed).items()}
         if kinds != {name: type(value) for name, value in asdict(config).items()}:
-            raise ValueError  # edited, or of another program
+            raise ValueError  # the file was edited, or another program wrote it
         run = type(config)(**own | changed)
     except (FileNotFoundError, NotADirectoryError):
         raise RunError(f"--resume '{path}' is not a run folder: it has no config.json") from None

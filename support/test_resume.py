@@ -121,7 +121,7 @@ def test_ctrl_c_prints_one_line_with_the_command_to_resume(tmp_path):
     while not (updates.exists() and updates.stat().st_size):
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, printed = process.communicate(timeout=60)
     assert process.returncode == 130 and "Traceback" not in printed
     last = printed.splitlines()[-1]
