@@ -1,5 +1,5 @@
-"""The command line: `python -m evaluation runs/env1-seed0` evaluates a run's frozen policy,
-`--planner bug` a planner. It writes into the run's folder, or else into one of `evaluations`."""
+"""The command line: `python -m evaluation runs/env1-seed0` evaluates the frozen policy of a run,
+`--planner bug` a planner. Files go to the run's folder, or else to a folder in `evaluations`."""
 
 import json
 import sys
@@ -16,31 +16,31 @@ from navbot_min import NavVecEnv
 from support.cli import option, parse
 from support.runs import ProcessLost, write
 
-MOST_DRAWN = 4  # scenes of a run whose paths are drawn
+MOST_DRAWN = 4  # maximum number of scenes with pictures
 
 
 @dataclass
 class Options:
-    """An evaluation."""
-    run: str = option("", "the policy: a run's folder such as runs/env1-seed0, or a file of "
-                      "weights such as pretrained/env1.safetensors", positional=True)
-    planner: str = option("", "a planner drives instead of a policy", choices=PLANNERS)
-    env: str = option("", "a room's name, path or random:7; by default the run's own or env1")
-    protocol: str = option("", "by default start, for level 3 anywhere", choices=PROTOCOLS)
-    hide: str = option("", "what the policy is not shown of its target", choices=HIDDEN)
-    episodes: int = option(1000, "to targets of each kind; with anywhere, in all", 1, 10 ** 5)
-    seed: int = option(0, "the source of all random numbers", 0)
-    workers: int = option(0, "processes of a policy's episodes; 0: one for each core", 0, 64)
-    replay: bool = option(False, "also write replay.html: episodes and the network's activity")
+    """The options of an evaluation."""
+    run: str = option("", "policy to evaluate: a run folder such as runs/env1-seed0, or a "
+                      "weights file such as pretrained/env1.safetensors", positional=True)
+    planner: str = option("", "planner to evaluate instead of a policy", choices=PLANNERS)
+    env: str = option("", "room name or file, or random:7; by default the run's rooms or env1")
+    protocol: str = option("", "default: start; for level 3: anywhere", choices=PROTOCOLS)
+    hide: str = option("", "hide this part of the target from the policy", choices=HIDDEN)
+    episodes: int = option(1000, "per kind of target; for anywhere, in total", 1, 10 ** 5)
+    seed: int = option(0, "random seed", 0)
+    workers: int = option(0, "number of processes, for a policy; 0: one per core", 0, 64)
+    replay: bool = option(False, "also write replay.html: episodes with the network's activity")
     json: bool = option(False, "print only the evaluation, as JSON")
 
     def environment(self, scenes):
-        """Returns the class of environment to drive in, and what the files' names say of it."""
+        """Returns the class of environment to drive in, and a suffix for the names of files."""
         return NavVecEnv, ""
 
 
 class Examination:
-    """The driver, the rooms and the files of one evaluation. Raises RunError, SceneError."""
+    """One evaluation: driver, rooms and files. Raises RunError, SceneError."""
 
     def __init__(self, options):
         self.options = options
@@ -54,12 +54,12 @@ class Examination:
             self.driver = Planned(options.planner, options.seed)
             self.scenes = [scenes.load("env1")]
         else:
-            import torch  # here, because planners do without it
+            import torch  # here, because planners do not need it
             from support.weights import load_model
             torch.set_num_threads(1)  # torch's own threads spin while they wait for each other
             self.name = Path(options.run).stem
             model, self.scenes = load_model(options.run)
-            # From the one start pose all episodes of deterministic actions would be the same.
+            # With a single start pose, all episodes of deterministic actions would be equal.
             sampled = options.protocol in ("start", "validation")
             self.actions = "sampled" if sampled else "mean"
             self.driver = Policy(model, self.actions, options.seed)
@@ -69,7 +69,7 @@ class Examination:
         self.environment.check_rooms(self.scenes)
         if options.hide:
             suffix = f"-hidden-{options.hide}{suffix}"
-        # `evaluation.json` in a run's folder is training's own; at level 3 no other replaces it.
+        # Training writes `evaluation.json` in the run folder; at level 3 no evaluation replaces it.
         if not options.protocol == own == "start":
             suffix = f"-{options.protocol}{suffix}"
         place = f"-{self.scenes[0].name}" if options.env or options.planner else ""
@@ -78,17 +78,17 @@ class Examination:
         self.suffix = place + suffix if in_run else suffix
 
     def path(self, name, which=""):
-        """Returns the path of a result; `floor.png` becomes `FOLDER/floor-anywhere.png`."""
+        """Returns the path of a file; `floor.png` becomes `FOLDER/floor-anywhere.png`."""
         stem, _, kind = name.partition(".")
         return self.folder / f"{stem}{self.suffix}{which}.{kind}"
 
     def evaluate(self):
-        """Evaluates, prints the result and writes it. Returns the Traces."""
+        """Evaluates the driver, prints the result and writes it. Returns the Traces."""
         options = self.options
         result, traces = evaluate(
             self.driver, self.scenes, options.episodes, options.protocol, options.seed,
             self.actions, options.hide, self.environment,
-            workers=1 if options.planner else options.workers)  # planners remember the rooms
+            workers=1 if options.planner else options.workers)  # planners keep state
         text = json.dumps(result, indent=2)
         who = self.driver.label if options.planner else f"{self.name}, {self.driver.label}"
         rooms = ", ".join(scene.name for scene in self.scenes[:MOST_DRAWN])
@@ -101,7 +101,7 @@ class Examination:
         return traces
 
     def draw(self, traces):
-        """Writes the pictures of an evaluation, of its first scenes if there are many."""
+        """Writes pictures of the evaluation, for the first scenes if there are many."""
         from support.pictures import draw_floor, draw_trajectories, save  # loads matplotlib
         for scene in self.scenes[:MOST_DRAWN]:
             here = [trace for trace in traces if trace.scene.boxes == scene.boxes]
@@ -111,30 +111,31 @@ class Examination:
                 save(draw_floor(scene, here, PATCH), self.path("floor.png", which))
 
     def show(self):
-        """Writes a film of one more episode in the first scene, and for --replay a page of more."""
+        """Writes a film of one more episode in the first scene and, with --replay, the page."""
         from support.film import write_film  # loads matplotlib
         scene = self.scenes[0]
-        how = self.options.protocol, self.options.seed
-        trace = film_episode(self.driver, scene, *how, self.options.hide, self.environment)
-        # A validation target is not a new target in the room itself.
+        settings = self.options.protocol, self.options.seed
+        trace = film_episode(self.driver, scene, *settings, self.options.hide, self.environment)
+        # The film shows the room itself, without the validation targets.
         write(self.path("episode.gif"), partial(write_film, replace(trace, scene=scene)))
         if self.options.replay:
             from evaluation.replay import make_page
-            title = f"{self.name} in {scene.name}, protocol {self.options.protocol}"
-            page = make_page(title, self.driver.model, self.actions, scene, *how, self.environment)
+            title = f"{self.name} in {scene.name}, protocol {settings[0]}"
+            page = make_page(title, self.driver.model, self.actions, scene, *settings,
+                             self.environment)
             write(self.path("replay.html"), page)
             print(f"watch it: {self.path('replay.html')}", file=sys.stderr)
 
 
 def main(argv=None, options_class=Options):
-    """The command line."""
+    """Runs the command line."""
     options, parser = parse(options_class, "Evaluate a policy or a planner.", argv)
     if bool(options.run) == bool(options.planner):
-        parser.error("give either a run (a folder or a .safetensors file) or --planner")
+        parser.error("give either a run folder, a .safetensors file or --planner")
     if options.planner and (options.hide or options.replay):
-        parser.error("--hide and --replay need a run: a planner has no network that sees")
+        parser.error("--hide and --replay need a policy: a planner has no network")
     if options.hide and options.replay:
-        parser.error("--replay takes no --hide: its page has an episode with the cube hidden")
+        parser.error("--replay excludes --hide: its page has an episode with a hidden cube")
     try:
         examined = Examination(options)
         examined.draw(examined.evaluate())

@@ -1,4 +1,4 @@
-"""The end of a training: curves, the frozen policy's evaluation and a summary."""
+"""The end of a training run: curves, evaluation of the frozen policy, summary."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ from support.runs import read_table, write
 
 
 def finish(training, stop_rate):
-    """Ends a Training: curves, evaluation, summary. stop_rate: the success rate of Algorithm 1."""
+    """Writes curves, evaluation and summary of a Training. stop_rate: r of Algorithm 1."""
     config = training.config
     folder = Path(config.out)
     summary = {"env": RANDOM if config.env == RANDOM else training.scenes[0].name,
@@ -28,13 +28,14 @@ def finish(training, stop_rate):
     summary["frozen"] = evaluate_rooms(training)
     write(folder / "evaluation.json", json.dumps(summary["frozen"], indent=2))
     write(folder / "summary.json", json.dumps(summary, indent=2))
-    print(report(summary), file=sys.stderr if config.json else sys.stdout)
+    text = report(summary, len(training.arrivals["new"]))
+    print(text, file=sys.stderr if config.json else sys.stdout)
     if config.json:
         print(json.dumps(summary, indent=2))
 
 
 def evaluate_policy(training, scenes, actions, protocol, episodes=None):
-    """Returns what `evaluate` finds out about the policy of a Training."""
+    """Returns the result of `evaluate` for the policy of a Training."""
     config = training.config
     return evaluate(Policy(training.model.cpu(), actions, config.seed), scenes,
                     episodes or config.evaluation_episodes, protocol, config.seed, actions,
@@ -43,7 +44,7 @@ def evaluate_policy(training, scenes, actions, protocol, episodes=None):
 
 
 def evaluate_many(training):
-    """Evaluates level 3, by mean actions, in rooms that training ended in and in new ones."""
+    """Evaluates level 3 with mean actions, in the last training rooms and in new rooms."""
     frozen = {"protocol": "anywhere", "actions": "mean", "hidden": "", "training": None,
               "new": None, "targets": []}
     for kind, scenes in training.rooms.by_kind(training.stage).items():
@@ -53,7 +54,7 @@ def evaluate_many(training):
 
 
 def evaluate_frozen(training):
-    """Evaluates levels 1 and 2: sampled actions, and one episode of mean actions, all the same."""
+    """Evaluates levels 1 and 2 with sampled actions, and with mean actions, one episode per target."""
     frozen = evaluate_policy(training, training.scenes, "sampled", "start")
     by_mean = evaluate_policy(training, training.scenes, "mean", "start", episodes=1)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):

@@ -1,4 +1,4 @@
-"""The drivers, a network or a planner. `support.traces.drive` says what your own driver needs."""
+"""Drivers: a network or a planner. `support.traces.drive` describes the methods of a driver."""
 
 import numpy as np
 
@@ -6,15 +6,15 @@ from evaluation.planners import ANGLES, PLANNERS, RANGE
 from navbot_min import MAX_COMMAND
 from scenes.generate import range_readings
 
-ACTIONS = {"sampled": "sampled", "mean": "deterministic (mean)"}  # and what they are called
+ACTIONS = {"sampled": "sampled", "mean": "deterministic (mean)"}  # names for the label
 
 
 class Policy:
-    """Drives with a network, by `sampled` or by deterministic (`mean`) actions."""
+    """Drives with a network, with `sampled` or with deterministic (`mean`) actions."""
 
     def __init__(self, model, actions, seed):
         """model: has the `act` and `initial_state` of a `model.Network`. Raises KeyError."""
-        import torch  # here, because planners and measures do without it
+        import torch  # here, because planners and measures do not need it
         self.label = f"policy, {ACTIONS[actions]} actions"
         self.model = model
         self.actions = actions
@@ -24,7 +24,7 @@ class Policy:
 
     def reset(self, env, robots):
         """Clears the memory of these robots."""
-        if env is not self.env:  # it begins to drive there
+        if env is not self.env:  # first call for this environment
             self.env = env
             self.memory = self.model.initial_state(env.num_envs)
             seeds = np.random.SeedSequence([self.seed, env.np_random_seed])
@@ -32,24 +32,24 @@ class Policy:
         self.memory[robots] = 0
 
     def act(self, env, observations):
-        """Returns the actions (R, 2). `values` (R,) are those that the network expects."""
+        """Returns the actions (R, 2), and sets `values` (R,), predicted by the network."""
         mean, sampled, _, self.values, self.memory = self.model.act(observations, self.memory,
                                                                     self.generator)
         return (sampled if self.actions == "sampled" else mean).numpy()
 
 
 class Planned:
-    """Drives with a planner, by its name in PLANNERS; each robot has its own."""
+    """Drives with a planner, given its name in PLANNERS. Each robot has a separate planner."""
 
     def __init__(self, name, seed):
         self.label = f"planner {name}"
         self.planner = PLANNERS[name]
         self.rng = np.random.default_rng(seed)
         self.planners = {}  # robot -> planner of its episode
-        self._knowledge = {}  # scene -> what its planners know of it
+        self._knowledge = {}  # scene -> knowledge that its planners share
 
     def reset(self, env, robots):
-        """Gives each of these robots a new planner and tells it its pose and its goal."""
+        """Makes a new planner for each of these robots, given its pose and goal."""
         for r in robots:
             scene = env.world.scenes[r]
             if scene not in self._knowledge:

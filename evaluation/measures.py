@@ -1,4 +1,4 @@
-"""Measures of driven episodes: success with its interval, path length, time."""
+"""Measures of episodes: success rate with its interval, path length, time."""
 
 import functools
 import math
@@ -21,27 +21,27 @@ def wilson(successes, n):
 
 
 class ShortestPaths:
-    """The shortest ways of a robot. Each scene's graph is made once, each path searched once."""
+    """Lengths of shortest paths. Each graph is made once, and each path is searched once."""
 
     def __init__(self):
         self.graph = functools.cache(visibility_graph)
         self.length = functools.cache(lambda scene, *ends: self.graph(scene).path(*ends)[1])
 
     def metres(self, scene, start, goal):
-        """Returns the shortest way [m] from (x, y, ...) to an arrival at a goal; inf if none."""
+        """Returns the length [m] of the shortest path from (x, y, ...) to arrival, or inf."""
         return self.length(scene, tuple(map(float, start[:2])), tuple(map(float, goal)))
 
 
 def spl(success, shortest, metres):
-    """Returns one episode's success weighted by path length (Anderson et al. 2018, Eq. 1)."""
+    """Returns the success of one episode weighted by path length (Anderson et al. 2018, Eq. 1)."""
     if not success or shortest == math.inf:
         return 0.0
     return shortest / max(shortest, metres) if shortest > 0 else 1.0
 
 
 def summarise(traces, paths=None):
-    """Returns the outcomes of episodes as fractions, success with its 95 % interval, the mean SPL
-    and time to arrive [s]; None for no episodes. paths: ShortestPaths that summaries share."""
+    """Returns the fractions of outcomes, the success rate with its 95 % interval, the mean SPL and
+    the mean time to arrive [s]; None without episodes. paths: a ShortestPaths to share."""
     if not traces:
         return None
     paths = paths or ShortestPaths()
@@ -53,7 +53,7 @@ def summarise(traces, paths=None):
                        trace.metres) for trace in traces)
     return {"n": n, "success": len(times) / n, "low": low, "high": high,
             "collision": outcomes.count("collision") / n, "timeout": outcomes.count("timeout") / n,
-            "standing": outcomes.count("standing") / n,  # only with `robot.environment`, as stops
-            "stops": sum(trace.stops for trace in traces) / n,  # of the ring, per episode
+            "standing": outcomes.count("standing") / n,  # only in `robot.environment`, like `stops`
+            "stops": sum(trace.stops for trace in traces) / n,  # by the ring of range sensors
             "spl": weighted / n,
             "seconds_to_arrive": sum(times) / len(times) if times else None}

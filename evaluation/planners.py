@@ -1,6 +1,6 @@
-"""The methods that the paper sets itself against, on the same tasks: with a map, or by reflex.
-Every planner is told its pose exactly, which the learner never is; each docstring says what else it
-knows. A pose is (x [m], y [m], theta [rad]), a point (x, y) [m], a command (v [m/s], w [rad/s])."""
+"""Planners and reflexes for comparison: the methods that the paper contrasts itself with. Each gets
+its exact pose, which the learner never does; the docstrings list what else it knows. A pose is
+(x [m], y [m], theta [rad]), a point (x, y) [m], a command (v [m/s], w [rad/s])."""
 
 import heapq
 import itertools
@@ -14,13 +14,13 @@ import pymunk
 from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
                  ROBOT_RADIUS, wrap_angle)
 
-# All numbers below are our choice.
-ANGLES = np.radians(np.arange(-180, 180, 5))  # [rad] of the range readings, from the heading
-RANGE = 3.0  # [m] that they reach
-STRIDE = MAX_LINEAR_VELOCITY * CONTROL_PERIOD  # [m] the longest step
-GAP = 0.001  # [m] that a shortest path keeps from the walls
-MARGIN = 0.02  # [m] that planners who sense their walls keep from them
-INSIDE = 1 - 1e-6  # of the arrival distance: a path ends within the goal's circle, not on it
+# All values below are our choice.
+ANGLES = np.radians(np.arange(-180, 180, 5))  # [rad] directions of the sensors, from the heading
+RANGE = 3.0  # [m] range of the sensors
+STRIDE = MAX_LINEAR_VELOCITY * CONTROL_PERIOD  # [m] longest step
+GAP = 0.001  # [m] distance of a shortest path from the walls
+MARGIN = 0.02  # [m] distance from walls of planners that sense them
+INSIDE = 1 - 1e-6  # factor of the arrival distance: a path ends inside the circle, not on it
 AROUND = [(math.cos(turn), math.sin(turn)) for turn in 2 * np.pi * np.arange(12) / 12]
 
 
@@ -31,7 +31,7 @@ def polar(pose, point):
 
 
 def turn_and_go(pose, point):
-    """Returns the command that turns to a point on the spot, or drives straight to it at most."""
+    """Returns the command that turns on the spot towards a point or, once ahead, drives to it."""
     distance, bearing = polar(pose, point)
     if abs(bearing) > 1e-6 and distance > 1e-6:
         return 0.0, np.clip(bearing / CONTROL_PERIOD, -MAX_ANGULAR_VELOCITY, MAX_ANGULAR_VELOCITY)
@@ -39,27 +39,27 @@ def turn_and_go(pose, point):
 
 
 class Roadmap:
-    """Points (n, 2) [m], those where the robot's disc fits, joined if it fits along the line."""
+    """A graph of those points (n, 2) [m] at which the disc fits, joined if it fits in between."""
 
     def __init__(self, scene, points):
-        self.space = pymunk.Space()  # of walls grown by the disc's radius: points drive among them
+        self.space = pymunk.Space()  # walls grown by the radius: the robot is a point
         for box in scene.boxes:
             self.space.add(pymunk.Poly(self.space.static_body, box.corners.tolist(),
                                        radius=ROBOT_RADIUS))
         fits = scene.clearance(points) > ROBOT_RADIUS
-        self.graph = networkx.Graph()  # its nodes are points (x, y), its weights metres
+        self.graph = networkx.Graph()  # nodes are points (x, y), weights are lengths [m]
         self.graph.add_nodes_from(map(tuple, points[fits].tolist()))
         for a, b in itertools.combinations(self.graph, 2):
             if self.free(a, b):
                 self.graph.add_edge(a, b, weight=math.dist(a, b))
 
     def free(self, a, b):
-        """Returns whether the disc fits along the line to b from a, a point where it fits."""
+        """Returns whether the disc fits along the line from a to b. It must fit at a."""
         return self.space.segment_query_first(a, b, 0, pymunk.ShapeFilter()) is None
 
     def path(self, start, goal, within=ARRIVAL_DISTANCE):
-        """Returns the points (x, y) after the start of the shortest path to within that distance
-        [m] of the goal, and its length [m]; None and inf if there is none."""
+        """Returns the points (x, y) after the start of the shortest path that ends `within` [m] of
+        the goal, and its length [m]; None and inf without a path."""
         start = tuple(start)
         graph = self.graph.copy()
         graph.add_node(start)
@@ -77,7 +77,7 @@ class Roadmap:
         return [*nodes[1:-1], ends[nodes[-2]]], length
 
     def _last_leg(self, point, goal, within):
-        """Returns the nearest end of a free leg from a point into the goal's circle, or None."""
+        """Returns the nearest point in the goal's circle to which a free line leads, or None."""
         distance = math.dist(point, goal)
         if distance <= within:
             return point
@@ -89,8 +89,8 @@ class Roadmap:
 
 def visibility_graph(scene):
     """Returns the Roadmap of shortest paths, which bend only at corners (Lozano-Perez and Wesley
-    1979). A disc's way around one is an arc; four points about it make it at most 1.3 % longer."""
-    distance = (ROBOT_RADIUS + GAP) / np.cos(np.pi / 16)  # of the points from the corner
+    1979). Around a corner the disc's path is an arc; four points make it at most 1.3 % longer."""
+    distance = (ROBOT_RADIUS + GAP) / np.cos(np.pi / 16)  # [m] from the corner to the points
     quarter = (np.arange(4) + 0.5) * np.pi / 8
     points = []
     for box in scene.boxes:
@@ -101,30 +101,30 @@ def visibility_graph(scene):
 
 
 class Planner:
-    """Drives one robot in one scene. `prepare` returns what all planners of a scene know of it."""
+    """Drives one robot in one scene. `prepare` computes what the planners of a scene share."""
 
     senses = False  # whether `act` uses range readings
 
     @staticmethod
     def prepare(scene, rng):
-        """Returns what is computed once for each scene, None for nothing. rng: numpy Generator."""
+        """Returns the shared knowledge of a scene, computed once, or None. rng: numpy Generator."""
 
     def __init__(self, scene, rng, knowledge):
-        """knowledge: what `prepare` returned for this scene. rng: numpy Generator."""
+        """knowledge: the result of `prepare` for this scene. rng: numpy Generator."""
         self.scene = scene
         self.rng = rng
         self.knowledge = knowledge
 
     def begin(self, pose, goal):
-        """Begins an episode at that pose; the goal is (x, y) [m]."""
+        """Begins an episode at a pose. goal: (x, y) [m]."""
         self.goal = (float(goal[0]), float(goal[1]))
 
     def act(self, pose, readings):
-        """Returns the command of one step. readings: (len(ANGLES),) [m], if it `senses`."""
+        """Returns the command of one step. readings: (len(ANGLES),) [m] if it `senses`."""
 
 
 class Oracle(Planner):
-    """The shortest path; stands still if there is none. Knows the whole map."""
+    """Drives the shortest path, or does not move without one. Knows the whole map."""
 
     @staticmethod
     def prepare(scene, rng):
@@ -132,17 +132,17 @@ class Oracle(Planner):
 
     def begin(self, pose, goal):
         super().begin(pose, goal)
-        self.way = self.knowledge.path(pose[:2], self.goal)[0] or []
+        self.path = self.knowledge.path(pose[:2], self.goal)[0] or []  # points still to reach
 
     def act(self, pose, readings):
-        while self.way and math.dist(pose[:2], self.way[0]) < 1e-6:
-            self.way.pop(0)
-        return turn_and_go(pose, self.way[0]) if self.way else (0.0, 0.0)
+        while self.path and math.dist(pose[:2], self.path[0]) < 1e-6:
+            self.path.pop(0)
+        return turn_and_go(pose, self.path[0]) if self.path else (0.0, 0.0)
 
 
 class PRM(Oracle):
-    """A probabilistic roadmap with Gaussian sampling (Boor et al. 1999): of two near random points
-    the free one is kept if the other is not, so they lie close to walls. Knows the whole map."""
+    """A probabilistic roadmap with Gaussian sampling (Boor et al. 1999): of two close
+    points, one is kept if only that one is free: it is near a wall. Knows the whole map."""
 
     @staticmethod
     def prepare(scene, rng):
@@ -158,15 +158,15 @@ class PRM(Oracle):
 
 
 class DStar(Planner):
-    """D* Lite (Koenig and Likhachev 2002), on a grid that starts empty: walls are entered as range
-    readings meet them, and only the part of the search that they change is done again. Each cell s
-    has g(s), its cost to the goal [cells] as last settled, and rhs(s), the same by its neighbours'
-    g now. If they differ, s waits in the queue. Unlike the paper's, keys lead to where the robot
-    began, so they stay valid as it drives. Knows no map; has range sensors all around."""
+    """D* Lite (Koenig and Likhachev 2002) on a grid that starts empty. Range readings add walls,
+    and only the affected part of the search is repeated. Each cell s has g(s), its last settled
+    cost to the goal [cells], and rhs(s), its cost from the current g of its neighbours. If they
+    differ, s waits in the queue. Unlike in that paper, keys refer to the robot's first cell, so
+    they stay valid while it drives. Has no map, but range sensors all around."""
 
     senses = True
     CELL = 0.06  # [m]
-    DETOUR = 8.0  # [m] a way longer than the straight line by more than that is not looked for
+    DETOUR = 8.0  # [m] maximum length of a path in addition to the straight line
     STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)]
 
     def begin(self, pose, goal):
@@ -175,30 +175,30 @@ class DStar(Planner):
         self.g = defaultdict(lambda: math.inf)
         self.rhs = defaultdict(lambda: math.inf)
         self.target = self._cell(goal)
-        self.begun = self._cell(pose[:2])  # where the robot began
-        self.start = self.begun  # where it is
-        # If no way leads to the goal, the search would go on for ever in a plane without an end.
+        self.begun = self._cell(pose[:2])  # first cell of the robot
+        self.start = self.begun  # current cell of the robot
+        # Without this limit the search for an unreachable goal would not end: the grid is infinite.
         self.longest = math.dist(self.begun, self.target) + self.DETOUR / self.CELL  # [cells]
         self.rhs[self.target] = 0.0
-        self.queue = [(self._key(self.target), self.target)]  # heap; old entries stay in it
+        self.queue = [(self._key(self.target), self.target)]  # a heap; outdated entries stay in it
 
     def act(self, pose, readings):
-        """Drives to the best cell beside it; straight at the goal in its cell or without a way."""
+        """Drives to the best next cell; straight to the goal if in its cell or without a path."""
         self.start = self._cell(pose[:2])
         new = self._new_walls(pose, readings)
         changed = {n for s in new for n, _ in self._neighbours(s)} | new
         self.blocked |= new
         for s in changed:
             self._update(s)
-        # Settle waiting cells until the robot's cell is right and none before it waits.
+        # Settle waiting cells until the robot's cell is settled and no cell before it waits.
         while self.queue and self.queue[0][0][0] <= self.longest:
             settled = self.g[self.start] == self.rhs[self.start]
             if settled and self.queue[0][0] >= self._key(self.start):
                 break
             key, s = heapq.heappop(self.queue)
             if self.g[s] == self.rhs[s] or key != self._key(s):
-                continue  # an old entry
-            # A shorter way is settled. If the way that it had is gone, it waits for a longer one.
+                continue  # outdated entry
+            # A shorter path settles s. If the old path is blocked, s waits for a longer one.
             self.g[s] = self.rhs[s] if self.g[s] > self.rhs[s] else math.inf
             for n, _ in [*self._neighbours(s), (s, 0)]:
                 self._update(n)
@@ -208,24 +208,24 @@ class DStar(Planner):
         return turn_and_go(pose, (i * self.CELL, j * self.CELL))
 
     def _cell(self, point):
-        """Returns the cell (i, j) whose centre, (i, j) * CELL, is nearest to a point [m]."""
+        """Returns the cell (i, j) that contains a point [m]. Its centre is at (i, j) * CELL."""
         return round(point[0] / self.CELL), round(point[1] / self.CELL)
 
     def _neighbours(self, s):
-        """Returns the free cells around a free cell, each with the cost [cells] of the step."""
+        """Returns the free neighbours of a free cell, each with the cost [cells] of the step."""
         if s in self.blocked:
             return []
         around = [((s[0] + dx, s[1] + dy), math.hypot(dx, dy)) for dx, dy in self.STEPS]
         return [(n, step) for n, step in around if n not in self.blocked]
 
     def _key(self, s):
-        """Returns a cell's place in the queue: a lower bound of a path over it, its own cost."""
+        """Returns the key of a cell: a lower bound of the cost of a path over it, and its cost."""
         cost = min(self.g[s], self.rhs[s])
-        # Rounded, because the keys along a straight way are equal except for float errors.
+        # Rounded, because the keys along a straight path differ only by floating-point errors.
         return round(cost + math.dist(self.begun, s), 6), round(cost, 6)
 
     def _update(self, s):
-        """Looks up rhs(s) again, and queues s if it differs from g(s)."""
+        """Computes rhs(s) again, and queues s if it differs from g(s)."""
         if s != self.target:
             self.rhs[s] = min((self.g[n] + step for n, step in self._neighbours(s)),
                               default=math.inf)
@@ -233,9 +233,9 @@ class DStar(Planner):
             heapq.heappush(self.queue, (self._key(s), s))
 
     def _new_walls(self, pose, readings):
-        """Returns the cells that the readings block, except the robot's own and the goal's."""
-        way = pose[2] + ANGLES
-        ends = pose[:2] + readings[:, None] * np.stack([np.cos(way), np.sin(way)], -1)
+        """Returns the cells that readings newly block; the cells of robot and goal stay free."""
+        angles = pose[2] + ANGLES
+        ends = pose[:2] + readings[:, None] * np.stack([np.cos(angles), np.sin(angles)], -1)
         ends = ends[readings < RANGE - 1e-6, None]  # (k, 1, 2)
         reach = math.ceil((ROBOT_RADIUS + MARGIN) / self.CELL) + 1  # [cells]
         square = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
@@ -246,37 +246,37 @@ class DStar(Planner):
 
 
 def room_ahead(readings, direction):
-    """Returns how far [m], RANGE at most, the disc can drive that way [rad from the heading]."""
-    x = readings * np.cos(ANGLES - direction)  # of the points met, along the direction
-    y = readings * np.sin(ANGLES - direction)  # and beside it
+    """Distance [m], at most RANGE, that the disc can drive in a direction [rad from the heading]."""
+    x = readings * np.cos(ANGLES - direction)  # measured points, along the direction
+    y = readings * np.sin(ANGLES - direction)  # and across it
     radius = ROBOT_RADIUS + MARGIN
     meets = (np.abs(y) < radius) & (x > 0) & (readings < RANGE - 1e-6)
     return (x[meets] - np.sqrt(radius ** 2 - y[meets] ** 2)).min(initial=RANGE)
 
 
 class Bug(Planner):
-    """Bug2 (Lumelsky and Stepanov 1987): straight at the target; around what is in the way, wall on
-    the right, until back on the line and nearer. Knows no map; has range sensors all around."""
+    """Bug2 (Lumelsky and Stepanov 1987): drives straight to the target, and around obstacles, wall
+    on the right, until it is back on the line and nearer. Has no map, but range sensors."""
 
     senses = True
 
     def begin(self, pose, goal):
         super().begin(pose, goal)
-        self.line = pose[2] + polar(pose, goal)[1]  # [rad] the line from start to target
-        self.hit = None  # [m] how far the goal was where it met the wall; None: it follows none
-        self.wall = None  # [rad from the heading] about where that wall is
-        self.step = None  # the point that it is driving to; None: to be chosen
+        self.line = pose[2] + polar(pose, goal)[1]  # [rad] direction from start to target
+        self.hit = None  # [m] distance to the goal when it met the wall; None: no wall
+        self.wall = None  # [rad from the heading] rough direction of the wall
+        self.step = None  # the point to which it drives; None: to be chosen
 
     def act(self, pose, readings):
         if self.step is None:
-            way, stride = self._next_step(pose, readings)
-            self.step = (pose[0] + stride * math.cos(pose[2] + way),
-                         pose[1] + stride * math.sin(pose[2] + way))
+            direction, stride = self._next_step(pose, readings)
+            self.step = (pose[0] + stride * math.cos(pose[2] + direction),
+                         pose[1] + stride * math.sin(pose[2] + direction))
         distance, bearing = polar(pose, self.step)
         if abs(bearing) > MAX_ANGULAR_VELOCITY * CONTROL_PERIOD / 2:
             return turn_and_go(pose, self.step)
-        # An arc that ends at a point turns by twice the point's bearing, and is longer than the
-        # straight line by bearing / sin(bearing) (numpy's sinc(x) is sin(pi x) / (pi x)).
+        # An arc to a point turns by twice the bearing of the point. It is bearing / sin(bearing)
+        # times as long as the straight line; numpy's sinc(x) is sin(pi x) / (pi x).
         self.step = None
         arc = distance / np.sinc(bearing / np.pi)
         return min(arc / CONTROL_PERIOD, MAX_LINEAR_VELOCITY), 2 * bearing / CONTROL_PERIOD
@@ -296,35 +296,35 @@ class Bug(Planner):
             return bearing, stride
         towards = np.abs(wrap_angle(ANGLES - self.wall)) < np.radians(100)
         nearest = np.where(towards, readings, np.inf).argmin()
-        gap = readings[nearest] - ROBOT_RADIUS - 0.06  # [m] too far from the wall
+        gap = readings[nearest] - ROBOT_RADIUS - 0.06  # [m] excess distance from the wall
         along = ANGLES[nearest] + np.pi / 2 - np.clip(4 * gap, -0.8, 0.8)
         self.wall = -np.pi / 2  # after this step the robot heads along the wall
-        ways = along + np.radians(np.arange(0, 360, 10))  # the first one that is free
-        return next((way for way in ways if room_ahead(readings, way) > stride), along), stride
+        turns = along + np.radians(np.arange(0, 360, 10))  # takes the first free direction
+        return next((turn for turn in turns if room_ahead(readings, turn) > stride), along), stride
 
 
 class Braitenberg(Planner):
-    """Turns to the target and away from walls (Braitenberg 1984). Has range sensors, no map."""
+    """Turns to the target and away from walls (Braitenberg 1984). Has no map, but range sensors."""
 
     senses = True
 
     def act(self, pose, readings):
-        nearness = np.clip(1 - (readings - ROBOT_RADIUS) / 0.4, 0, 1)  # 1 at the wall, 0 from 0.4 m
-        near = nearness * np.maximum(np.cos(ANGLES), 0)  # what is ahead counts most, behind not
+        nearness = np.clip(1 - (readings - ROBOT_RADIUS) / 0.4, 0, 1)  # 1 at a wall, 0 beyond 0.4 m
+        near = nearness * np.maximum(np.cos(ANGLES), 0)  # walls ahead count most, behind not
         leftwards = near[ANGLES < 0].sum() - near[ANGLES > 0].sum()  # away from the nearer side
         turn = np.clip(1.5 * polar(pose, self.goal)[1] + 0.8 * leftwards, -1, 1)
         return MAX_LINEAR_VELOCITY * max(0.05, 1 - near.max()), turn * MAX_ANGULAR_VELOCITY
 
 
 class Straight(Planner):
-    """Turns to the target and goes. Knows no map and senses nothing else."""
+    """Turns to the target and drives to it. Has no map and no sensors."""
 
     def act(self, pose, readings):
         return turn_and_go(pose, self.goal)
 
 
 class Random(Planner):
-    """Any velocities. Knows nothing."""
+    """Drives with random velocities. Knows nothing."""
 
     def act(self, pose, readings):
         return self.rng.uniform((0, -MAX_ANGULAR_VELOCITY),

@@ -1,5 +1,5 @@
 """The protocols of an evaluation: `start`, `perturbed` and `anywhere` are levels 2, 1 and 3 of
-training. `validation` is as `start`, but to the targets of `validation_scene`, to tune on."""
+training. `validation` is `start` with the new targets of `validation_scene`, for tuning."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,17 +12,17 @@ from scenes import distance_to_nearest
 from sim import Scene, SceneError
 
 PROTOCOLS = {"start": level_2, "perturbed": level_1, "anywhere": level_3, "validation": level_2}
-EPISODES_PER_ROBOT = 16  # at most. More robots wait longer for the last one
-OUT_OF_SIGHT = 1000.0  # [m]
-HIDDEN = ("", "place", "cube", "both")  # what a policy may not be shown of its target
-PATCH = 0.25  # [m] from one validation target to the next, and the size of a patch of floor.png
-TEST_DISTANCE = 0.5  # [m] that a validation target keeps from the start and each new target
+EPISODES_PER_ROBOT = 16  # maximum; with fewer, more robots would wait for the last episode
+OUT_OF_SIGHT = 1000.0  # [m] offset of a hidden cube
+HIDDEN = ("", "place", "cube", "both")  # parts of the target that can be hidden
+PATCH = 0.25  # [m] grid size of validation targets, and size of a patch in floor.png
+TEST_DISTANCE = 0.5  # [m] minimum distance of a validation target from start and new targets
 
 
 def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv):
-    """Returns the environment of a protocol. scenes, targets: each robot's Scene and index of its
-    target. hidden: `place`, the observed distance and bearing are 0; `cube`, the camera does not
-    show the target; `both`; or "". environment: NavVecEnv or a subclass."""
+    """Returns the environment of a protocol. scenes, targets: each robot's Scene and the index of
+    its target. hidden: `place` (the observed distance and bearing are 0), `cube` (the camera does
+    not show the target), `both`, or "". environment: NavVecEnv or a subclass."""
     env = environment(len(targets), scenes, targets, level=PROTOCOLS[protocol])
     observe = env.observe
     render = env.camera.render
@@ -35,8 +35,8 @@ def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv
 
 
 def validation_scene(scene):
-    """Returns the scene to tune on. Its new targets are the points of a grid that the robot can
-    reach, TEST_DISTANCE or more from the start and new targets. Raises SceneError without any."""
+    """Returns the scene to tune on: its new targets are reachable points of a grid, TEST_DISTANCE
+    or more from the start and the new targets of `scene`. Raises SceneError if there are none."""
     columns, rows = (np.ptp(scene.bounds, axis=0) / PATCH).astype(int)
     grid = scene.bounds[0] + PATCH * np.argwhere(np.ones((columns, rows)))  # (P, 2)
     reachable = distance_to_nearest(grid, scene.reachable) < 0.02
@@ -44,30 +44,30 @@ def validation_scene(scene):
     apart = distance_to_nearest(grid, [scene.start[:2], *scene.new_targets]) >= TEST_DISTANCE
     places = grid[reachable & untrained & apart].tolist()
     if not places:
-        raise SceneError(f"{scene.name} has no room for validation targets")
+        raise SceneError(f"{scene.name} has no space for validation targets")
     return replace(scene, new_targets=tuple(map(tuple, places)))
 
 
 def protocol_scenes(protocol, scenes):
-    """Returns the scenes that a protocol drives in, for `validation` with other new targets."""
+    """Returns the scenes of a protocol. For `validation`, their new targets are replaced."""
     return [validation_scene(scene) for scene in scenes] if protocol == "validation" else scenes
 
 
 def split(n, parts):
-    """Returns n in whole parts, as even as possible, but none below 1."""
+    """Splits n into whole parts that are as equal as possible and at least 1. Returns a list."""
     return [max(1, n // parts + (k < n % parts)) for k in range(parts)]
 
 
 @dataclass
 class Assignment:
-    """What one robot does in an evaluation: `quota` episodes to one target of one scene."""
+    """The task of one robot in an evaluation: `quota` episodes to one target of one scene."""
     scene: Scene
     target: int
     quota: int
 
 
 def assign(scene, target, episodes):
-    """Returns the Assignments of the robots that share the episodes to a target."""
+    """Returns the Assignments of the robots that share the episodes to one target."""
     robots = math.ceil(episodes / EPISODES_PER_ROBOT)
     return [Assignment(scene, target, quota) for quota in split(episodes, robots)]
 

@@ -1,4 +1,4 @@
-"""A replay in a browser: one HTML file of what a robot saw and did, and of its network's activity.
+"""Makes a replay for a browser: one HTML file with images, actions and activations of a network.
 Axis letters: R robots, T steps of an episode, H = 48 and W = 64 image rows and columns."""
 
 import base64
@@ -22,12 +22,12 @@ from sim import CONTROL_PERIOD, ROBOT_RADIUS
 from support.pictures import PALETTE
 
 PAGE = Path(__file__).with_suffix(".html")
-TRIED = 48  # episodes among which a success and a failure are looked for
-COLUMNS = 16  # images of an episode that lie side by side in a row of its sheet
+TRIED = 48  # number of episodes from which a success and a failure are chosen
+COLUMNS = 16  # number of images per row in the sheet of an episode
 
 
-class ThinkingPolicy(Policy):
-    """A Policy that keeps in `activations` what went on in its network, (R, ...) arrays."""
+class RecordingPolicy(Policy):
+    """A Policy that keeps activations of its network in `activations`, (R, ...) arrays."""
 
     def act(self, env, observations):
         actions = super().act(env, observations)
@@ -40,7 +40,7 @@ class ThinkingPolicy(Policy):
 
 
 def as_sheet(images):
-    """Returns a data URL of a PNG, of 256 colours, with images (T + 1, H, W, 3) in rows."""
+    """Returns a data URL of a PNG of 256 colours, with images (T + 1, H, W, 3) in rows."""
     cells = np.pad(images, ((0, -len(images) % COLUMNS), (0, 0), (0, 0), (0, 0)))
     sheet = cells.reshape(-1, COLUMNS, H, W, 3).swapaxes(1, 2).reshape(-1, COLUMNS * W, 3)
     file = io.BytesIO()
@@ -50,7 +50,7 @@ def as_sheet(images):
 
 
 def as_strip(name, values, height):
-    """Returns values (T, units) for a strip of the page, `height` pixels high; byte 128 is 0."""
+    """Returns values (T, units) as a strip of the page, `height` pixels high. Byte 128 means 0."""
     largest = max(float(np.abs(values).max()), 1e-9)
     signed = np.round(values / largest * 127) + 128
     return {"name": name, "units": values.shape[1], "height": height,
@@ -58,16 +58,16 @@ def as_strip(name, values, height):
 
 
 def as_episode(name, trace, graph, hidden):
-    """Returns what the page shows of a Trace with images and activations. graph: its Roadmap."""
-    way, _ = graph.path(trace.start[:2], trace.goal)
+    """Returns the data of a Trace for the page. graph: the Roadmap of its scene."""
+    path, _ = graph.path(trace.start[:2], trace.goal)
     memory = trace.activations["memory"]  # (T, layers, HIDDEN)
-    strips = [as_strip("the 32 features that the CNN makes of the image",
+    strips = [as_strip("CNN: 32 features of the image",
                        trace.activations["features"], 64)]
-    if memory.any():  # a network without memory has nothing to show there
-        strips += [as_strip(f"memory: what LSTM {k + 1} of {memory.shape[1]} puts out, 256 units",
+    if memory.any():  # not for a network without memory
+        strips += [as_strip(f"LSTM {k + 1} of {memory.shape[1]}: 256 outputs",
                             memory[:, k], 128) for k in range(memory.shape[1])]
     numbers = {"goal": trace.goal, "poses": trace.poses, "commands": trace.commands,
-               "shortest": [trace.start[:2], *(way or [])], "rewards": trace.rewards,
+               "shortest": [trace.start[:2], *(path or [])], "rewards": trace.rewards,
                "values": trace.activations["value"]}
     return {"name": name, "outcome": trace.outcome, "hidden": hidden, "strips": strips,
             "images": as_sheet(trace.images),
@@ -75,26 +75,26 @@ def as_episode(name, trace, graph, hidden):
 
 
 def rounded(numbers):
-    """Returns numbers as lists, to the third decimal."""
+    """Returns numbers as lists, rounded to three decimals."""
     return np.round(np.asarray(numbers, float), 3).tolist()
 
 
 def make_page(title, model, actions, scene, protocol, seed, environment=NavVecEnv):
-    """Returns the page, text: a success, a failure, and an episode with its cube hidden. Of each
-    kind it is the one with the farthest goal. Arguments: as of a Policy and of `evaluate`."""
+    """Returns the text of the page: a success, a failure and an episode with a hidden cube, each
+    the one with the farthest goal. For the arguments see Policy and `evaluate`."""
     [scene] = protocol_scenes(protocol, [scene])
-    targets = max(len(scene.targets), 1)  # anywhere, an index without a target is fine
+    targets = max(len(scene.targets), 1)  # random targets need no index
     robots = [Assignment(scene, k % targets, quota=1) for k in range(TRIED)]
     graph = visibility_graph(scene)
     episodes = []
-    for hidden, prefix, most in (("", "", 2), ("cube", "the cube is hidden: ", 1)):
-        traces = rollouts(ThinkingPolicy(model, actions, seed), robots, protocol, seed, hidden,
+    for hidden, prefix, most in (("", "", 2), ("cube", "hidden cube: ", 1)):
+        traces = rollouts(RecordingPolicy(model, actions, seed), robots, protocol, seed, hidden,
                           images=True, environment=environment)
         traces.sort(key=lambda trace: math.dist(trace.start[:2], trace.goal), reverse=True)
         farthest = [next((trace for trace in traces if trace.arrived == arrived), None)
                     for arrived in (True, False)]
         for trace in [trace for trace in farthest if trace is not None][:most]:
-            name = f"{prefix}it {'arrives' if trace.arrived else 'fails'} ({trace.outcome})"
+            name = f"{prefix}{'success' if trace.arrived else 'failure'} ({trace.outcome})"
             episodes.append(as_episode(name, trace, graph, hidden == "cube"))
     content = {
         "title": title, "bounds": rounded(scene.bounds), "period": CONTROL_PERIOD,

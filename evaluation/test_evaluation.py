@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about evaluation, most against a slow twin."""
+"""Tests of the evaluation, most of them against a slow implementation."""
 
 import json
 import math
@@ -37,7 +37,7 @@ SUMMARY = {"stopped_by_rule": False, "steps": 1000, "episodes": 20, "seconds": 3
 
 
 def lively_network():
-    """A random network whose memory shows in its actions."""
+    """Returns a random network whose memory has a large effect on its actions."""
     net = make_network(0)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
@@ -45,7 +45,7 @@ def lively_network():
     return net
 
 
-def test_wilson_intervals_and_spl_have_their_known_values():
+def test_wilson_intervals_and_spl_have_known_values():
     for n, successes, low, high in ((100, 81, 0.722, 0.875), (20, 0, 0.0, 0.161),
                                     (20, 20, 0.839, 1.0), (0, 0, 0.0, 1.0)):
         assert wilson(successes, n) == pytest.approx((low, high), abs=5e-4)
@@ -53,7 +53,7 @@ def test_wilson_intervals_and_spl_have_their_known_values():
     assert (spl(True, 0.0, 0.1), spl(False, math.inf, 3.0)) == (1.0, 0.0)
 
 
-def test_a_summary_is_that_of_its_episodes_one_by_one():
+def test_a_summary_agrees_with_its_episodes_one_by_one():
     traces = rollouts(Planned("random", 0), assign_all("anywhere", [TINY, ENV1], 24), "anywhere")
     found = summarise(traces)
     for name, outcome in (("success", "arrival"), ("collision",) * 2, ("timeout",) * 2):
@@ -72,7 +72,7 @@ def test_a_summary_is_that_of_its_episodes_one_by_one():
     assert summarise([]) is None
 
 
-def test_the_protocols_start_and_lead_where_they_say():
+def test_each_protocol_draws_its_starts_and_goals():
     spreads = {}
     for protocol in ("start", "perturbed", "anywhere"):
         env = make_environment(protocol, [ENV1] * 300, [2] * 300)
@@ -88,7 +88,7 @@ def test_the_protocols_start_and_lead_where_they_say():
     assert np.hypot(away[:, 0], away[:, 1]).min() >= 1
 
 
-def test_validation_targets_can_be_reached_and_tell_nothing_of_the_new_targets():
+def test_validation_targets_are_reachable_and_away_from_the_new_targets():
     spots = validation_scene(ENV2).new_targets
     assert len(spots) > 60 and ENV2.clearance(spots).min() > ROBOT_RADIUS - 0.02
     roadmap = visibility_graph(ENV2)
@@ -100,20 +100,20 @@ def test_validation_targets_can_be_reached_and_tell_nothing_of_the_new_targets()
     result, traces = evaluate(Planned("straight", 0), [ENV2], 1, "validation")
     assert result["new"] is None and result["validation"]["n"] == len(spots)
     assert {tuple(trace.goal) for trace in traces} == {*spots, *ENV2.training_targets}
-    with pytest.raises(SceneError, match="tiny has no room for validation targets"):
+    with pytest.raises(SceneError, match="tiny has no space for validation targets"):
         validation_scene(TINY)
 
 
 @pytest.mark.parametrize("hidden, place, cube", [
     ("", True, True), ("place", False, True), ("cube", True, False), ("both", False, False)])
-def test_what_is_hidden_of_a_target_is_not_observed_and_nothing_else_changes(hidden, place, cube):
+def test_hidden_parts_of_a_target_are_not_observed_and_nothing_else_changes(hidden, place, cube):
     room = scenes.parse(square_room(), "room")
     seen = []
-    for target, what in ((0, hidden), (0, ""), (1, "")):  # target 1 is to the left, out of view
-        env = make_environment("start", [room], [target], what)
+    for target, part in ((0, hidden), (0, ""), (1, "")):  # target 1 is to the left, out of view
+        env = make_environment("start", [room], [target], part)
         first, _ = env.reset(seed=0)
         seen.append((first, env.step([[0.5, 0.0]])[0]))
-    for one, ahead, aside in zip(*seen):  # at the start, and after a step
+    for one, ahead, aside in zip(*seen):  # at the start and after one step
         assert np.array_equal(one["image"], (ahead if cube else aside)["image"])
         assert not np.array_equal(ahead["image"], aside["image"])
         assert np.array_equal(one["target"], ahead["target"] * place)
@@ -121,7 +121,7 @@ def test_what_is_hidden_of_a_target_is_not_observed_and_nothing_else_changes(hid
 
 
 class Grey(NavVecEnv):
-    """An environment of your own. Its images are grey."""
+    """A custom environment. Its images are grey."""
 
     def observe(self, *arguments):
         seen = super().observe(*arguments)
@@ -130,7 +130,7 @@ class Grey(NavVecEnv):
 
 
 class HalfSpeed:
-    """A driver of your own. It lists for each step whether it knows the target and all is grey."""
+    """A custom driver. `seen` lists for each step whether it knows the target and all is grey."""
 
     def __init__(self):
         self.seen = []
@@ -143,10 +143,10 @@ class HalfSpeed:
         return np.tile((0.5, 0.0), (env.num_envs, 1))
 
 
-def test_your_own_driver_and_environment_are_evaluated_and_filmed_like_the_others():
+def test_a_custom_driver_and_environment_are_evaluated_and_filmed_like_others():
     trace = rollouts(HalfSpeed(), assign(TRAINING_ONLY, 0, 1))[0]
     assert trace.arrived and (trace.commands == MAX_COMMAND * (0.5, 0)).all()
-    assert trace.metres == pytest.approx(0.84)  # 0.823 m to the goal's circle, 0.06 m a step
+    assert trace.metres == pytest.approx(0.84)  # 0.823 m to the goal's circle, 0.06 m per step
     driver = HalfSpeed()
     evaluate(driver, [TRAINING_ONLY], 1, hidden="both", environment=Grey)
     filmed = film_episode(driver, ENV1, "validation", hidden="both", environment=Grey)
@@ -155,8 +155,8 @@ def test_your_own_driver_and_environment_are_evaluated_and_filmed_like_the_other
     assert (filmed.goal == validation_scene(ENV1).targets[-1]).all()
 
 
-def test_the_pretrained_policy_drives_as_it_did_in_an_older_version():
-    """The numbers are from commit 44b969d. A pixel can change with rounding, and so a step."""
+def test_the_pretrained_policy_drives_as_in_an_older_version():
+    """The numbers are from commit 44b969d. Rounding can change a pixel, and therefore the steps."""
     net, [room] = load_model(ENV1_POLICY)
     assert room == ENV1
     _, traces = evaluate(Policy(net, "sampled", 1), [room], 1, "perturbed", seed=1)
@@ -167,8 +167,8 @@ def test_the_pretrained_policy_drives_as_it_did_in_an_older_version():
         assert trace.arrived and len(trace.commands) == pytest.approx(steps, abs=2)
 
 
-def test_a_policy_drives_as_one_robot_would_that_drives_one_episode():
-    """The twin drives the recorded commands. If it drove its own, rounding would add up."""
+def test_a_policy_drives_many_robots_like_a_single_one():
+    """The single robot drives the recorded commands; with its own, rounding errors would add up."""
     class Same(NavVecEnv):
         def sample_episode(self, r):
             return trace.target, trace.goal, trace.start
@@ -185,11 +185,11 @@ def test_a_policy_drives_as_one_robot_would_that_drives_one_episode():
             assert np.allclose(bounded * MAX_COMMAND, command, atol=1e-3)
             seen, _, terminated, truncated, info = env.step([command / MAX_COMMAND])
             assert np.allclose(info["pose"][0], pose, atol=1e-6)
-        ended = info["final_info"]  # of the last step
+        ended = info["final_info"]  # from the last step
         assert (OUTCOMES[ended["outcome"][0]], ended["new"][0]) == (trace.outcome, trace.new)
 
 
-def test_several_scenes_share_the_episodes_and_each_is_as_if_it_were_the_only_one():
+def test_several_scenes_share_the_episodes_and_do_not_affect_each_other():
     scene_list = [ENV1, TRAINING_ONLY, ENV2]
     result, _ = evaluate(Planned("straight", 0), scene_list, 30)
     rows = result["targets"]
@@ -207,22 +207,22 @@ def test_several_scenes_share_the_episodes_and_each_is_as_if_it_were_the_only_on
     assert [sum(trace.scene == scene for trace in traces) for scene in scene_list] == [3, 2, 2]
 
 
-def test_a_report_of_a_room_without_new_targets_says_so():
+def test_a_report_shows_that_a_room_has_no_new_targets():
     result, _ = evaluate(Planned("straight", 0), [TRAINING_ONLY], 5)
     row = ("success 100.0% [56.6%, 100.0%]  collision   0.0%  timeout   0.0%  SPL 0.98  "
            "arrives in 2.8 s  n 5")
-    assert table(result) == (f"all training targets  {row}\nall new targets       there are none\n"
+    assert table(result) == (f"all training targets  {row}\nall new targets       none\n"
                              f"training (1, 0)       {row}")
     result["targets"][0]["mean_action_arrives"] = False
     text = report(SUMMARY | {"frozen": result})
-    assert "success on new targets: there are none" in text
+    assert "success on new targets: none\n" in text
     assert text.endswith("deterministic (mean) action fails")
 
 
 @pytest.mark.parametrize("other, words", [
-    ([TINY], "success in new rooms: while training no episode"),
-    ([], "success in new rooms: there are none\nrooms learnt in")])
-def test_level_3_is_evaluated_by_rooms_and_reports_say_so(other, words):
+    ([TINY], "success in new rooms: no episode during training, frozen"),
+    ([], "success in new rooms: none\ntraining rooms")])
+def test_level_3_is_evaluated_and_reported_by_kind_of_room(other, words):
     rooms = {"training": [ENV1, TRAINING_ONLY], "new": other}
     training = SimpleNamespace(
         model=lively_network(), environment=NavVecEnv, stage=5,
@@ -254,8 +254,8 @@ def run(tmp_path, monkeypatch):
     (["--planner", "bug", "--env", "lab"], "python -m robot.evaluate"),
     (["elsewhere"], "run 'elsewhere' does not exist"),
     (["begun"], "run 'begun' has no model.safetensors yet"),
-    (["begun/config.json"], "holds no weights")])
-def test_bad_input_is_one_line_and_leaves_no_file(arguments, words, run, capsys):
+    (["begun/config.json"], "has no weights")])
+def test_bad_input_gives_one_line_and_leaves_no_file(arguments, words, run, capsys):
     Path("begun").mkdir()
     Path("begun/config.json").write_text('{"targets": "both"}')
     before = set(Path().rglob("*"))
@@ -266,7 +266,7 @@ def test_bad_input_is_one_line_and_leaves_no_file(arguments, words, run, capsys)
     assert words in printed.err and set(Path().rglob("*")) == before
 
 
-def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(run, capsys):
+def test_an_evaluation_prints_and_writes_its_result_and_writes_pictures(run, capsys):
     main(["run", "--episodes", "3", "--workers", "1", "--json"])
     written = json.loads(Path("run/evaluation.json").read_text())
     assert json.loads(capsys.readouterr().out) == written
@@ -276,7 +276,7 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(run, capsys):
     main(["run", "--episodes", "3", "--workers", "1", "--protocol", "anywhere", "--env", "env2",
           "--hide", "cube"])
     printed = capsys.readouterr().out
-    assert "in env2, protocol anywhere, target's cube hidden; files in run\nany free" in printed
+    assert "in env2, protocol anywhere, target's cube hidden; files in run\nrandom" in printed
     suffix = "-env2-anywhere-hidden-cube"
     elsewhere = json.loads(Path(f"run/evaluation{suffix}.json").read_text())
     assert (written["hidden"], elsewhere["hidden"]) == ("", "cube")
@@ -287,7 +287,7 @@ def test_an_evaluation_prints_and_writes_the_same_and_its_pictures(run, capsys):
         f"episode{suffix}.gif"}
 
 
-def test_a_file_of_weights_writes_into_evaluations_a_picture_for_each_of_its_rooms(run, capsys):
+def test_a_weights_file_is_evaluated_into_evaluations_with_a_picture_per_room(run, capsys):
     save_model("mine.safetensors", make_network(0), [ENV1, ENV2])
     main(["mine.safetensors", "--episodes", "1", "--workers", "1"])
     assert "mine, policy, sampled actions, in env1, env2, protocol start" in capsys.readouterr().out
@@ -304,13 +304,13 @@ def test_a_planner_drives_in_one_process_without_torch(tmp_path):
     assert json.loads(written.read_text())["actions"] == "straight"
 
 
-def test_processes_share_a_policys_episodes_and_their_number_makes_no_difference(
+def test_the_number_of_processes_does_not_change_the_result(
         monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    asked = []
+    calls = []
 
     def pretend(function, jobs, workers):
-        asked.append((len(jobs), workers))
+        calls.append((len(jobs), workers))
         return [function(*pickle.loads(pickle.dumps(job))) for job in jobs]
     monkeypatch.setattr("evaluation.examine.BLOCK", 2)
     monkeypatch.setattr("support.parallel.in_processes", pretend)
@@ -320,20 +320,20 @@ def test_processes_share_a_policys_episodes_and_their_number_makes_no_difference
     for options in ([], ["--workers", "2"], ["--workers", "1"]):
         main([str(ENV1_POLICY), "--episodes", "3", "--json", *options])
         written.append(capsys.readouterr().out)
-    assert asked == [(2, 3), (2, 2)] and written[0] == written[1] == written[2]
+    assert calls == [(2, 3), (2, 2)] and written[0] == written[1] == written[2]
 
 
 @pytest.mark.parametrize("targets, options, file", [
     ("both", [], "evaluation.json"),
     ("anywhere", [], "evaluation-anywhere.json"),
     ("anywhere", ["--protocol", "start"], "evaluation-start.json")])
-def test_an_evaluation_is_by_the_task_of_the_run_and_leaves_trainings_own_at_level_3(
+def test_the_default_protocol_is_that_of_the_run_and_keeps_level_3_results_of_training(
         targets, options, file, run, monkeypatch):
     monkeypatch.setattr("evaluation.__main__.Examination.show", lambda *_: None)
     (run / "config.json").write_text(json.dumps({"targets": targets}))
-    (run / "evaluation.json").write_text("training's own")
+    (run / "evaluation.json").write_text("written by training")
     main(["run", "--episodes", "1", "--workers", "1", *options])
     protocol = file.removesuffix(".json").partition("-")[2] or "start"
     assert json.loads((run / file).read_text())["protocol"] == protocol
-    kept = (run / "evaluation.json").read_text() == "training's own"
+    kept = (run / "evaluation.json").read_text() == "written by training"
     assert kept == (file != "evaluation.json")

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about the planners, most against a slow search."""
+"""Tests of the planners, most of them against a slow search."""
 
 import math
 
@@ -18,7 +18,7 @@ ENV2 = scenes.load("env2")
 
 
 def grid_graph(cells):
-    """The graph of a set of cells (i, j) joined eight ways, edges as long as they are in cells."""
+    """Returns a graph of cells (i, j), with edges to eight neighbours and lengths in cells."""
     graph = networkx.Graph()
     for i, j in cells:
         for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
@@ -28,11 +28,11 @@ def grid_graph(cells):
 
 
 @pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
-def test_shortest_paths_lie_between_the_straight_line_and_the_grids(scene):
+def test_shortest_paths_are_longer_than_the_line_and_shorter_than_on_a_grid(scene):
     rng = np.random.default_rng(0)
     roadmap = visibility_graph(scene)
     cell = 0.025
-    first = scene.reachable[0]  # the reachable cells as pairs of whole numbers, from this one on
+    first = scene.reachable[0]  # origin of the integer cell indices
     cells = [tuple(ij) for ij in np.round((scene.reachable - first) / cell).astype(int).tolist()]
     start = rng.integers(len(cells))
     grid = networkx.single_source_dijkstra_path_length(grid_graph(set(cells)), cells[start])
@@ -51,7 +51,7 @@ def test_shortest_paths_lie_between_the_straight_line_and_the_grids(scene):
 
 
 @pytest.mark.parametrize("scene", [ENV1, ENV2], ids=["env1", "env2"])
-def test_a_path_is_as_long_as_it_says_and_free_and_ends_where_the_robot_has_arrived(scene):
+def test_a_path_is_free_ends_at_arrival_and_has_the_returned_length(scene):
     roadmap = PRM.prepare(scene, np.random.default_rng(0))
     for target in scene.targets:
         points, length = roadmap.path(scene.start[:2], target, within=0.1)
@@ -66,15 +66,15 @@ def test_a_path_is_as_long_as_it_says_and_free_and_ends_where_the_robot_has_arri
     ("oracle", ENV1, "start", 1, 0.9), ("oracle", ENV2, "start", 1, 0.9),
     ("oracle", ENV1, "anywhere", 40, 0.9), ("oracle", ENV2, "anywhere", 40, 0.9),
     ("prm", ENV1, "start", 1, 0.7), ("dstar", ENV1, "start", 1, 0.7)])
-def test_planners_that_know_a_map_or_make_one_reach_every_target_by_a_short_path(
+def test_planners_with_a_map_or_a_search_reach_every_target_by_a_short_path(
         name, scene, protocol, episodes, least):
     result, _ = evaluate(Planned(name, 0), [scene], episodes, protocol)
     for row in result["targets"] or [result["anywhere"]]:
         assert row["success"] == 1 and row["spl"] > least
 
 
-def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
-    """In a room where the shorter way around a wall turns out to be closed by a second wall."""
+def test_d_star_lite_finds_the_cost_of_a_search_from_scratch():
+    """The shorter path around a wall in this room turns out to be blocked by a second wall."""
     walls = [box(x=0.0, y=0.0, length=0.1, thickness=1.2), box(x=0.6, y=0.7, thickness=1.6)]
     table = square_room(half=1.5, extra=walls, start=dict(x=-0.7, y=0.1, heading_degrees=0),
                         training_targets=[[1.1, 0.8]], new_targets=[])
@@ -95,8 +95,8 @@ def test_d_star_lite_knows_the_cost_that_a_search_from_scratch_finds():
     assert max(np.diff(costs)) > 5  # [cells] that the second wall added
 
 
-def test_d_star_gives_up_if_it_finds_no_way():
-    """Walls are all around, as far as it knows. Its search ends, and it drives straight ahead."""
+def test_d_star_stops_its_search_if_there_is_not_any_path():
+    """Known walls surround the robot. The search ends, and the robot drives straight ahead."""
     planner = DStar(None, None, None)
     planner.begin(np.zeros(3), (1.0, 0.0))
     ring = range(-8, 9)
@@ -108,9 +108,9 @@ def test_d_star_gives_up_if_it_finds_no_way():
 @pytest.mark.parametrize("half, obstacle, start, goal, least", [
     (1.0, dict(x=0.2, y=0.0, length=0.2, thickness=0.8), (-0.5, 0.0), (0.81, 0.3), 1.3),
     (2.0, dict(x=0.0, y=-1.0, length=0.1, thickness=2.0), (-0.5, -1.7), (0.5, -1.7), 4)])
-def test_d_star_reaches_a_goal_beside_a_wall_and_takes_a_way_3_m_longer_than_the_line(
+def test_d_star_reaches_a_goal_next_to_a_wall_and_takes_a_detour_of_3_m(
         half, obstacle, start, goal, least):
-    """The first goal is nearer to a wall than the margin that the planner keeps from walls."""
+    """The first goal is nearer to a wall than the planner's margin."""
     table = square_room(half, extra=[box(**obstacle)], training_targets=[goal], new_targets=[],
                         start=dict(x=start[0], y=start[1], heading_degrees=45))
     [trace] = rollouts(Planned("dstar", 0), assign(scenes.parse(table, "room"), 0, 1))
@@ -120,7 +120,7 @@ def test_d_star_reaches_a_goal_beside_a_wall_and_takes_a_way_3_m_longer_than_the
 @pytest.mark.parametrize("name, empty, blocked", [
     ("straight", "arrival", "collision"), ("bug", "arrival", "arrival"),
     ("braitenberg", "arrival", None), ("random", None, None)])
-def test_reflexes_do_what_they_can(name, empty, blocked):
+def test_reflexes_arrive_or_collide_as_expected(name, empty, blocked):
     for extra, expected in (([], empty), ([box(x=0.9, y=0.0, length=0.2, thickness=0.8)], blocked)):
         table = square_room(extra=extra, start=dict(x=0.0, y=0.0, heading_degrees=60),
                             training_targets=[[1.6, 0.0]])

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about the replay in a browser."""
+"""Tests of the replay page."""
 
 import base64
 import io
@@ -14,7 +14,7 @@ from PIL import Image
 
 from evaluation import Assignment, rollouts
 from evaluation.__main__ import main
-from evaluation.replay import COLUMNS, ThinkingPolicy, as_episode, make_page
+from evaluation.replay import COLUMNS, RecordingPolicy, as_episode, make_page
 from model import REWARD_SCALE
 from render import H, W
 from sim import ARRIVAL_DISTANCE
@@ -27,13 +27,13 @@ TITLE = "<!--<script> of a title"
 
 
 def content_of(page):
-    """The data of a page."""
+    """Returns the data of a page."""
     return json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.DOTALL)[1])
 
 
 @pytest.fixture(scope="module")
 def made():
-    """The text of a page, and the Traces of its episodes."""
+    """The text of a page and the Traces of its episodes."""
     traces = []
 
     def watched(name, trace, *others):
@@ -44,7 +44,7 @@ def made():
         return make_page(TITLE, MODEL, "mean", ENV1, "anywhere", seed=0), traces
 
 
-def test_a_page_has_a_success_a_failure_and_a_hidden_cube_each_as_its_trace_has_it(made):
+def test_a_page_has_a_success_a_failure_and_a_hidden_cube_equal_to_their_traces(made):
     page, traces = made
     episodes = content_of(page)["episodes"]
     assert [episode["hidden"] for episode in episodes] == [False, False, True]
@@ -54,25 +54,25 @@ def test_a_page_has_a_success_a_failure_and_a_hidden_cube_each_as_its_trace_has_
         for key in ("goal", "poses", "commands", "rewards"):
             assert np.allclose(episode[key], getattr(trace, key), rtol=0, atol=0.00051)
         assert np.allclose(episode["values"], trace.activations["value"], rtol=0, atol=0.00051)
-        way = episode["shortest"]
-        assert math.dist(way[0], trace.start[:2]) < 0.001
-        assert math.dist(way[-1], trace.goal) < ARRIVAL_DISTANCE + 0.001
+        path = episode["shortest"]
+        assert math.dist(path[0], trace.start[:2]) < 0.001
+        assert math.dist(path[-1], trace.goal) < ARRIVAL_DISTANCE + 0.001
         sheet = Image.open(io.BytesIO(base64.b64decode(episode["images"].partition(",")[2])))
         cells = np.array(sheet.convert("RGB")).reshape(-1, H, COLUMNS, W, 3).swapaxes(1, 2)
         images = cells.reshape(-1, H, W, 3)[:len(trace.images)]
         off = np.abs(images.astype(float) - trace.images).mean((1, 2, 3))
-        assert off.max() < 1  # of 255: a sheet has 256 colours
+        assert off.max() < 1  # out of 255: a sheet has 256 colours
         assert not (episode["hidden"] and (images == (20, 20, 235)).all(-1).any())  # the cube
         layers = trace.activations["memory"].swapaxes(0, 1)
         for strip, values in zip(episode["strips"], (trace.activations["features"], *layers),
                                  strict=True):
             shown = np.frombuffer(base64.b64decode(strip["values"]), np.uint8)
-            shares = (shown.reshape(-1, strip["units"]) - 128.0) / 127
-            assert np.allclose(shares * np.abs(values).max(), values, atol=0.01 * values.max())
+            fractions = (shown.reshape(-1, strip["units"]) - 128.0) / 127
+            assert np.allclose(fractions * np.abs(values).max(), values, atol=0.01 * values.max())
 
 
-def test_the_thoughts_are_those_of_the_network_in_one_go_over_the_whole_episode():
-    class Remembering(ThinkingPolicy):
+def test_activations_equal_those_of_one_pass_over_the_whole_episode():
+    class Remembering(RecordingPolicy):
         def act(self, env, observations):
             actions = super().act(env, observations)
             self.activations |= observations
@@ -80,18 +80,18 @@ def test_the_thoughts_are_those_of_the_network_in_one_go_over_the_whole_episode(
     model, _ = load_model(WEIGHTS)
     [trace] = rollouts(Remembering(model, "mean", 0), [Assignment(ENV1, 2, quota=1)], "perturbed")
     activations = {key: torch.as_tensor(value)[None] for key, value in trace.activations.items()}
-    put_out = []
+    outputs = []
     for memory in model.memories:
-        memory.register_forward_hook(lambda module, seen, result: put_out.append(result[0]))
+        memory.register_forward_hook(lambda module, seen, result: outputs.append(result[0]))
     with torch.no_grad():
         _, values, _ = model(activations, model.initial_state(1))
         features = model.see(activations["image"][0])
     assert torch.allclose(activations["value"] * REWARD_SCALE, values, atol=1e-4)
     assert torch.allclose(activations["features"][0], features, atol=1e-4)
-    assert torch.allclose(activations["memory"], torch.stack(put_out, 2), atol=1e-4)
+    assert torch.allclose(activations["memory"], torch.stack(outputs, 2), atol=1e-4)
 
 
-def test_a_page_needs_nothing_from_elsewhere_and_has_all_that_its_script_asks_for(made):
+def test_a_page_loads_nothing_and_has_all_data_that_its_script_uses(made):
     page, _ = made
     assert set(re.findall(r"https?://[^\"' ]+", page)) <= {"http://www.w3.org/2000/svg"}  # a name
     assert not re.search(r"<link|src=\"|@import", page) and len(page) < 2e6
@@ -100,11 +100,11 @@ def test_a_page_needs_nothing_from_elsewhere_and_has_all_that_its_script_asks_fo
     assert [box["colour"] for box in content["boxes"]] == [PALETTE[b.material] for b in ENV1.boxes]
     script = page.rpartition("<script>")[2]
     for name, table in (("data", content), ("episode", content["episodes"][0])):
-        asked = set(re.findall(rf"\b{name}\.(\w+)", script.replace("image.data", "")))
-        assert len(asked) > 5 and asked <= set(table)
+        used = set(re.findall(rf"\b{name}\.(\w+)", script.replace("image.data", "")))
+        assert len(used) > 5 and used <= set(table)
 
 
-def test_the_command_line_writes_it(tmp_path, monkeypatch, capsys):
+def test_the_command_line_writes_the_page(tmp_path, monkeypatch, capsys):
     shutil.copy(WEIGHTS, tmp_path)
     monkeypatch.chdir(tmp_path)
     main(["env1.safetensors", "--episodes", "3", "--workers", "1", "--replay"])

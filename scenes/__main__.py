@@ -13,7 +13,7 @@ from support.pictures import draw_map, draw_robot, draw_target
 
 
 def facts(scene):
-    """Returns a line of facts about a Scene. `reachable` is a fraction of the floor without boxes."""
+    """Returns one line about a Scene. `reachable` is a fraction of the floor without boxes."""
     centres = [np.arange(low + CELL / 2, high, CELL) for low, high in zip(*scene.bounds)]
     floor = scene.clearance(np.stack(np.meshgrid(*centres), -1)) > 0  # (rows, columns) cells
     length, width = np.ptp(scene.bounds, axis=0)

@@ -159,8 +159,8 @@ def are_blocked(boxes, begin, end):
 
 
 def first_hit(boxes, begin, along):
-    """Returns the distances (...) from begin (..., 2) along vectors (..., 2) to the first of B boxes,
-    in lengths of the vectors: infinity if a ray meets no box, 0 inside a box."""
+    """Returns the distances (...) from begin (..., 2) along vectors (..., 2) to the first box, in
+    lengths of the vectors: infinity if a ray meets none of the B boxes, 0 inside a box."""
     x, y, yaw, length, thickness = np.array(
         [(box.x, box.y, box.yaw, box.length, box.thickness) for box in boxes]).T
     turns = np.exp(-1j * yaw)  # rotations into the axes of each box
