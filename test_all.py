@@ -1,5 +1,6 @@
-"""Quick tests of the lesson, a minute on a CPU. Each is the shortest proof of one claim, against an
-oracle that is slow and obvious. `make test` runs the tests of the other rooms too."""
+"""Quick tests of the lesson, about 30 seconds on a CPU. Some compare the code with a second, slow
+and simple implementation; the others check properties or single examples. `make test` also runs the
+tests of the other folders."""
 
 import ast
 import copy
@@ -42,7 +43,7 @@ LESSON = ("navbot_min.py", "sim.py", "render.py", "model.py", "ppo.py", "train.p
 
 
 @pytest.mark.parametrize("v, w", [(0.3, 0.0), (0.3, 1.0), (0.1, -0.4), (0.0, 1.0)])
-def test_constant_velocities_drive_the_closed_form_arc(v, w):
+def test_constant_velocities_drive_a_circular_arc(v, w):
     world = sim.World([scenes.parse(square_room(4.0), "room")])
     world.place([0], [(0.5, -0.2, 2.0)])
     for _ in range(25):
@@ -54,8 +55,8 @@ def test_constant_velocities_drive_the_closed_form_arc(v, w):
     assert abs(sim.wrap_angle(world.poses[0, 2] - angle)) < 1e-6
 
 
-def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
-    rooms = [(ENV1, ENV2)[k % 3 // 2] for k in range(100)]  # several copies of both
+def test_robots_do_not_affect_each_other():
+    rooms = [(ENV1, ENV2)[k % 3 // 2] for k in range(100)]  # several copies of both rooms
     commands = np.random.default_rng(1).uniform((0, -1), (0.3, 1), (12, 100, 2))
     world = sim.World(rooms)
     alone = [sim.World([room]) for room in rooms]
@@ -66,7 +67,7 @@ def test_robots_of_many_rooms_and_copies_drive_as_if_alone():
 
 
 @pytest.mark.parametrize("scene", [ENV1, ENV2])
-def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
+def test_a_robot_in_the_mirrored_room_drives_the_mirrored_path(scene):
     mirror = scene.mirrored()
     rng = np.random.default_rng(4)
     poses = [(*p, rng.uniform(-3, 3)) for p in rng.choice(scene.reachable, 50)] + [scene.start]
@@ -76,7 +77,7 @@ def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
         return np.c_[-poses[:, 0], poses[:, 1], sim.wrap_angle(np.pi - poses[:, 2])]
     assert np.allclose(flip(poses)[-1], mirror.start) and not mirror.new_targets
     env = navbot_min.NavVecEnv(400, [scene, mirror])
-    env.reset(seed=0)  # tests are in the true room alone
+    env.reset(seed=0)  # new targets are only in the true room
     for room, goals in ((scene, env.goals[::2]), (mirror, env.goals[1::2])):
         assert set(map(tuple, goals)) == set(map(tuple, room.targets))
     world, twin = sim.World([scene] * 51), sim.World([mirror] * 51)
@@ -92,26 +93,26 @@ def test_a_robot_in_the_mirrored_room_drives_the_mirrored_way(scene):
 
 
 def photograph(scene, poses, target):
-    """What the camera makes of one room, from several poses."""
+    """Returns camera images of one room from several poses."""
     return render.Camera([scene]).render(np.zeros(len(poses), int), np.array(poses),
                                          np.tile(target, (len(poses), 1)))
 
 
 def slow_image(scene, pose, target):
-    """The twin of the camera: each pixel's ray is met with every face in 3-D, the nearest wins."""
+    """Returns a camera image by intersecting the ray of each pixel with every face in 3-D."""
     cube = sim.Box("cube", *target, yaw=0.0, length=0.2, thickness=0.2, height=0.2)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     eye = np.array([pose[0] - 0.118 * c, pose[1] - 0.118 * s])
     i, j = np.mgrid[:48, :64]
     left, down = (31.5 - j) / render.FOCAL, (i - 23.5) / render.FOCAL
-    x, y = c - s * left, s + c * left  # the ray, a unit deep
+    x, y = c - s * left, s + c * left  # rays, per metre of depth
     image = np.where(down[..., None] > 0, render.FLOOR, render.SKY).astype(float)
     nearest = np.where(down > 0, 0.281 / np.abs(down), np.inf).clip(max=render.FAR)
     for b in (*scene.boxes, cube):
         for p, q in zip(b.corners, np.roll(b.corners, -1, axis=0)):
             length = np.hypot(*(q - p))
             along = (q - p) / length
-            facing = x * along[1] - y * along[0]  # the ray along the outward normal
+            facing = x * along[1] - y * along[0]  # component of the ray along the outward normal
             z = ((p - eye) @ (along[1], -along[0])) / np.where(facing == 0, 1e-9, facing)
             u = (eye[0] + z * x - p[0]) * along[0] + (eye[1] + z * y - p[1]) * along[1]
             height = 0.281 - z * down
@@ -124,14 +125,14 @@ def slow_image(scene, pose, target):
                 texel = (u[hit] // 0.025).astype(int) % 48, (height[hit] // 0.025).astype(int)
                 image[hit] = render.texture(b.material, render.ABOVE)[texel] * bright.round(1)
             nearest = np.where(hit, z, nearest)
-    z = (0.281 - 0.2) / np.where(down > 0, down, 1e-9)  # the lid of the cube
-    lid = (z < nearest) & (np.abs(eye[0] + z * x - target[0]) < 0.1) & (
+    z = (0.281 - 0.2) / np.where(down > 0, down, 1e-9)  # the top of the cube
+    top = (z < nearest) & (np.abs(eye[0] + z * x - target[0]) < 0.1) & (
         np.abs(eye[1] + z * y - target[1]) < 0.1)
-    image[lid] = np.multiply(render.BLUE, render.light((0, 0, 1)))
+    image[top] = np.multiply(render.BLUE, render.light((0, 0, 1)))
     return image.clip(0, 255).round()
 
 
-def test_images_are_those_of_the_slow_raycaster():
+def test_images_equal_those_of_a_slow_raycaster():
     rng, checked = np.random.default_rng(3), []
     low = box(material="wood", x=1.0, y=0.3, yaw_degrees=23, length=0.4, thickness=0.3, height=0.5)
     middle = box(material="brick", x=1.6, y=-0.2, yaw_degrees=-29, length=0.8, thickness=0.2,
@@ -150,10 +151,10 @@ def test_images_are_those_of_the_slow_raycaster():
             fast = photograph(scene, [pose], target)
         off = np.abs(fast[0].astype(float) - slow_image(scene, pose, target)).max(-1) > 1
         checked.append(off.mean())
-    assert max(checked) <= 0.005 and np.mean(checked) <= 0.001, checked  # only on edges
+    assert max(checked) <= 0.005 and np.mean(checked) <= 0.001, checked  # they differ only at edges
 
 
-def test_a_wider_camera_paints_right_images_too(monkeypatch):
+def test_images_of_a_wider_camera_are_correct_too(monkeypatch):
     source = (ROOT / "render.py").read_text().replace("np.radians(60)", "np.radians(100)")
     wide = types.ModuleType("wide")
     monkeypatch.setitem(sys.modules, "wide", wide)
@@ -166,20 +167,20 @@ def test_a_wider_camera_paints_right_images_too(monkeypatch):
         assert (np.abs(fast - slow_image(hall, pose, (1.0, 0.0))).max(-1) > 1).mean() < 0.005
 
 
-def test_a_brick_box_hardly_higher_than_the_eye_is_red_without_a_stripe_of_sky():
+def test_a_brick_box_slightly_higher_than_the_camera_is_red_without_a_line_of_sky():
     low = box(material="brick", x=0.5, length=0.2, thickness=3.9, height=0.282)
     scene = scenes.parse(square_room(extra=[low], training_targets=[[-1.0, 0.0]]), "room")
-    row = photograph(scene, np.zeros((1, 3)), (-1.0, 0.0))[0, 24]  # the first below the horizon
+    row = photograph(scene, np.zeros((1, 3)), (-1.0, 0.0))[0, 24]  # first row below the horizon
     assert (row != render.SKY).any(-1).all() and (row != render.FLOOR).any(-1).all()
     red, green, blue = row.mean(0)
     assert red > 1.5 * green and red > 1.5 * blue
 
 
-def test_no_gap_at_a_shared_corner_and_no_numerical_warning():
-    alone = sim.Box("wall", x=0.0, y=0.0, yaw=0.7, length=0.2, thickness=0.2, height=2.5)
-    scene = sim.Scene("a box under the sky", (alone,), (0, 0, 0), (), ())
+def test_images_have_no_gap_at_a_corner_and_no_numerical_warning():
+    pillar = sim.Box("wall", x=0.0, y=0.0, yaw=0.7, length=0.2, thickness=0.2, height=2.5)
+    scene = sim.Scene("a box in the open", (pillar,), (0, 0, 0), (), ())
     angle = np.linspace(-np.pi, np.pi, 2000)
-    poses = np.c_[-1.1 * np.cos(angle), -1.1 * np.sin(angle), angle]  # all around, facing it
+    poses = np.c_[-1.1 * np.cos(angle), -1.1 * np.sin(angle), angle]  # all around it, facing it
     with np.errstate(all="raise"):
         horizon = photograph(scene, poses, (9.0, 9.0))[:, 23]
         rng, free = np.random.default_rng(5), ENV1.reachable
@@ -187,22 +188,22 @@ def test_no_gap_at_a_shared_corner_and_no_numerical_warning():
         anywhere[:8, 2] = np.arange(8) * np.pi / 4
         inside = photograph(ENV1, anywhere, ENV1.targets[0])[:, 23]
     wall = (horizon != render.SKY).any(-1)
-    assert (np.abs(np.diff(wall, axis=1)).sum(1) == 2).all()  # one stretch of wall in each image
-    assert (inside != render.SKY).any(-1).all()  # and nothing but walls inside a room
+    assert (np.abs(np.diff(wall, axis=1)).sum(1) == 2).all()  # one connected wall in each image
+    assert (inside != render.SKY).any(-1).all()  # only walls in env1
 
 
 # ----------------------------------------------------------------------------------------- the task
 
 
-@pytest.mark.parametrize("before, after, arrived, hit, paid", [
+@pytest.mark.parametrize("before, after, arrived, hit, reward", [
     (2.0, 1.9, False, False, 100 * 0.1 - 0.05), (1.0, 1.0, False, False, -0.05),
     (1.0, 1.1, False, False, -10.05), (0.2, 0.1, True, False, 100), (1.0, 1.0, False, True, -50),
     (0.2, 0.1, True, True, 100)])
-def test_rewards_are_those_of_eq_4(before, after, arrived, hit, paid):
-    assert navbot_min.rewards(before, after, arrived, hit) == pytest.approx(paid)
+def test_rewards_follow_eq_4(before, after, arrived, hit, reward):
+    assert navbot_min.rewards(before, after, arrived, hit) == pytest.approx(reward)
 
 
-def test_your_own_reward_and_the_clipped_command_are_what_is_seen_added_up_and_returned():
+def test_a_custom_reward_and_clipped_commands_appear_in_observations_and_returns():
     class Constant(navbot_min.NavVecEnv):
         def reward(self, before, after, arrived, failed):
             return np.full(len(before), 7.0)
@@ -216,7 +217,7 @@ def test_your_own_reward_and_the_clipped_command_are_what_is_seen_added_up_and_r
     assert np.allclose(infos["final_obs"]["velocity"], (0.3, 1.0))  # m/s, rad/s
 
 
-def test_arrival_wins_over_a_collision_in_the_same_step():
+def test_arrival_takes_precedence_over_a_collision_in_the_same_step():
     scene = scenes.parse(square_room(training_targets=[[1.95, 0.0]]), "room")
     env = navbot_min.NavEnv([scene], targets="training")
     env.reset()
@@ -229,7 +230,7 @@ def test_arrival_wins_over_a_collision_in_the_same_step():
 
 
 @pytest.mark.parametrize("angle", [np.pi, -np.pi, np.nextafter(np.pi, 4), 1e6, -1e6])
-def test_a_wrapped_angle_is_above_minus_pi_and_at_most_pi(angle):
+def test_a_wrapped_angle_is_equivalent_and_in_the_range_from_minus_pi_to_pi(angle):
     wrapped = sim.wrap_angle(angle)
     assert -np.pi < wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
@@ -241,7 +242,7 @@ def test_gymnasium_accepts_the_environment_without_a_warning(name, targets):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gym.make(f"navbot_min:NavBot-{name}-v0", render_mode="rgb_array", targets=targets)
-        check_env(env.unwrapped, skip_render_check=True)  # it would open a window
+        check_env(env.unwrapped, skip_render_check=True)  # otherwise it opens a window
         many = gym.make_vec(f"navbot_min:NavBot-{name}-v0", num_envs=3, targets=targets,
                             vectorization_mode="vector_entry_point")
     observations, _ = many.reset(seed=0)
@@ -250,21 +251,21 @@ def test_gymnasium_accepts_the_environment_without_a_warning(name, targets):
 
 
 @pytest.mark.parametrize("changes, words", [
-    ({"scenes": "env1"}, "scenes is 'env1', it must be a list of 1 to 32 rooms"),
+    ({"scenes": "env1"}, "scenes is 'env1'; it must be a list of 1 to 32 rooms"),
     ({"scenes": ["env1", "env2"], "num_envs": 1}, "it must be a list of 1 to 1 rooms"),
-    ({"num_envs": 0}, "num_envs is 0, it must be at least 1"),
-    ({"max_episode_steps": 0}, "max_episode_steps is 0, it must be at least 1, or -1"),
-    ({"random_starts": 1.5}, "random_starts is 1.5, it must be from 0 to 1"),
-    ({"targets": "old"}, "targets is 'old', it must be one of training, new, both"),
+    ({"num_envs": 0}, "num_envs is 0; it must be at least 1"),
+    ({"max_episode_steps": 0}, "max_episode_steps is 0; it must be at least 1, or -1"),
+    ({"random_starts": 1.5}, "random_starts is 1.5; it must be from 0 to 1"),
+    ({"targets": "old"}, "targets is 'old'; it must be one of training, new, both"),
     ({"targets": "new", "scenes": [ONE_TARGET]}, "targets is 'new', but scene 'room' has none"),
-    ({"targets": [0]}, "for robot 1 it must have an index from 0 to 2"),
-    ({"targets": [-1] * 32}, "for robot 0 it must have an index from 0 to 2")])
-def test_bad_arguments_are_one_sentence(changes, words):
+    ({"targets": [0]}, "for robot 1 it must hold an index from 0 to 2"),
+    ({"targets": [-1] * 32}, "for robot 0 it must hold an index from 0 to 2")])
+def test_bad_arguments_give_one_sentence(changes, words):
     with pytest.raises(ValueError, match=re.escape(words)):
         navbot_min.NavVecEnv(**changes)
 
 
-def test_a_picture_shows_the_last_step_of_an_episode_and_a_window_every_step(monkeypatch):
+def test_pictures_show_every_step_of_an_episode_and_so_does_a_window(monkeypatch):
     shown = []
 
     class Window:
@@ -273,7 +274,7 @@ def test_a_picture_shows_the_last_step_of_an_episode_and_a_window_every_step(mon
     monkeypatch.setattr("support.film.Window", Window)
     picture = navbot_min.NavEnv(targets=[0], render_mode="rgb_array")
     window = navbot_min.NavEnv(targets=[0], render_mode="human")
-    for _ in range(2):  # the second episode's trail is its own
+    for _ in range(2):  # the second episode starts a new trail
         shown.clear()
         for env in (picture, window):
             env.reset(seed=0)
@@ -288,7 +289,7 @@ def test_a_picture_shows_the_last_step_of_an_episode_and_a_window_every_step(mon
         assert all((one != other).any() for one, other in zip(frames, frames[1:]))  # it moves
 
 
-def test_the_vector_environment_is_many_single_ones():
+def test_the_vector_environment_equals_many_single_ones():
     actions = np.random.default_rng(2).uniform((0.3, -1), (1, 1), (150, 4, 2))
     targets = [0, 1, 2, 0]
     many = navbot_min.NavVecEnv(4, targets=targets)
@@ -329,14 +330,14 @@ def test_episodes_draw_their_targets_from_the_chosen_set(targets, indices):
 
 
 def sampled(scene, targets, count=4000):
-    """Goals (count, 2) and start poses (count, 3) of that many episodes in a scene."""
+    """Returns goals (count, 2) and start poses (count, 3) of episodes in a scene."""
     env = navbot_min.NavVecEnv(1, [scene], targets)
     env.reset(seed=0)
     _, goals, starts = zip(*(env.sample_episode(0) for _ in range(count)))
     return np.array(goals), np.array(starts)
 
 
-def test_level_1_leads_from_near_any_start_to_near_the_first_target():
+def test_level_1_perturbs_the_start_poses_and_the_first_target():
     others = ((-2.0, -3.2, 1.0), (-2.7, -2.8, 3.0))
     goals, starts = sampled(replace(ENV1, other_starts=others), "memorize")
     spread = np.array([0.05, 0.05, math.radians(10)])
@@ -350,7 +351,7 @@ def test_level_1_leads_from_near_any_start_to_near_the_first_target():
         assert moved.mean(0) == pytest.approx(0, abs=0.015)
 
 
-def test_level_1_starts_where_the_robot_fits_and_moves_no_target_to_a_thin_wall_or_behind_it():
+def test_level_1_keeps_starts_free_and_targets_in_front_of_thin_walls():
     tight = scenes.parse(square_room(0.25, thickness=0.001, training_targets=[[0.2, 0.0]],
                                      new_targets=[]), "room")
     goals, starts = sampled(tight, "memorize")
@@ -359,19 +360,19 @@ def test_level_1_starts_where_the_robot_fits_and_moves_no_target_to_a_thin_wall_
 
 
 @pytest.mark.parametrize("scene", [ENV1, scenes.load("random:3")])
-def test_level_3_leads_from_anywhere_to_anywhere_at_any_heading(scene):
+def test_level_3_draws_random_starts_headings_and_targets(scene):
     goals, starts = sampled(scene, "anywhere", 2000)
     assert 1 <= np.hypot(*(starts[:, :2] - goals).T).min() < 1.02
     reachable = set(map(tuple, scene.reachable))
     for places in (goals, starts[:, :2]):
         assert set(map(tuple, places)) <= reachable
         apart = scene.reachable[::5, None] - places
-        assert np.hypot(apart[..., 0], apart[..., 1]).min(1).max() < 0.3  # m, from any place
+        assert np.hypot(apart[..., 0], apart[..., 1]).min(1).max() < 0.3  # [m] from any place
     counts, _ = np.histogram(starts[:, 2], 8, (-np.pi, np.pi))
     assert counts.sum() == 2000 and (np.abs(counts - 250) < 70).all()  # 4.7 standard deviations
 
 
-def test_reset_starts_the_episode_that_it_is_asked_for():
+def test_reset_starts_the_requested_episode():
     env = navbot_min.NavEnv()
     pose = (-3.0, -2.9, 0.5)
     observation, info = env.reset(seed=0, options={"target": 1, "start": pose})
@@ -386,12 +387,12 @@ def test_reset_starts_the_episode_that_it_is_asked_for():
 
 
 @pytest.mark.parametrize("options, words", [
-    ({"targets": 1}, "options has 'targets', known: 'target' and 'start'"),
-    ({"target": 3}, "options['target'] is 3, it must be an index into the targets of env1"),
+    ({"targets": 1}, "options has an unknown key 'targets'; known: target, start"),
+    ({"target": 3}, "options['target'] is 3; it must be an index into the targets of env1"),
     ({"target": True}, "options['target'] is True"),
-    ({"start": (-2.0, np.nan, 0)}, "it must be a pose (x, y, theta) inside"),
-    ({"start": (-4.4, -3.0, 0)}, "0.178 m from the boxes, of env1")])
-def test_bad_options_of_reset_are_refused_and_change_nothing(options, words):
+    ({"start": (-2.0, np.nan, 0)}, "it must be a pose (x, y, theta), 0.178 m or more from"),
+    ({"start": (-4.4, -3.0, 0)}, "from all boxes, inside env1")])
+def test_bad_reset_options_are_refused_and_change_nothing(options, words):
     env, twin = navbot_min.NavVecEnv(2), navbot_min.NavVecEnv(2)
     for one in (env, twin):
         one.reset(seed=0)
@@ -402,7 +403,7 @@ def test_bad_options_of_reset_are_refused_and_change_nothing(options, words):
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_as_the_original(duplicate):
+def test_a_copy_continues_like_the_original(duplicate):
     actions = np.random.default_rng(3).uniform((0.5, -1), (1, 1), (60, 8, 2))
     env = navbot_min.NavVecEnv(8, [ENV1, ENV2], random_starts=0.5)
     env.reset(seed=0)
@@ -420,7 +421,7 @@ def test_a_copy_goes_on_as_the_original(duplicate):
 
 
 @pytest.mark.parametrize("mode", ["single", "sync", "async", "vector_entry_point"])
-def test_the_time_limit_is_the_one_that_was_asked_for(mode):
+def test_the_step_limit_is_the_requested_one(mode):
     name = "navbot_min:NavBot-env1-v0"
     for arguments, limit in (({}, 200), ({"max_episode_steps": 210}, 210)):
         if mode == "single":
@@ -433,7 +434,7 @@ def test_the_time_limit_is_the_one_that_was_asked_for(mode):
             _, _, _, truncated, info = env.step(np.zeros(env.action_space.shape))
             assert np.all(truncated) == (length == limit)
         info = info.get("final_info", info)
-        is_inside = mode == "vector_entry_point"  # otherwise the limit is a wrapper's
+        is_inside = mode == "vector_entry_point"  # otherwise a wrapper truncates
         expected = navbot_min.TIMEOUT if is_inside else navbot_min.UNDER_WAY
         assert info["length"] == limit and info["outcome"] == expected
         env.close()
@@ -463,7 +464,7 @@ def random_observations(M, T, seed=0):
 
 
 def random_episodes(lengths, seed=0):
-    """Episodes of those lengths, as if collected with other weights."""
+    """Returns episodes of these lengths, as if collected with other weights."""
     rng, episodes = np.random.default_rng(seed), []
     for k, T in enumerate(lengths):
         numbers = rng.normal(size=(T, 5)).astype(np.float32)
@@ -478,7 +479,7 @@ def network(memory="stacked", without=""):
     return model.make_network(0, memory, without)
 
 
-def test_a_network_is_drawn_from_its_seed_and_nothing_else_draws_from_torchs_global_generator():
+def test_weights_depend_only_on_the_seed_and_training_does_not_use_torchs_global_generator():
     before = torch.get_rng_state()
     first, second, other = (model.make_network(seed).value_head.weight for seed in (1, 1, 2))
     assert torch.equal(first, second) and not torch.equal(first, other)
@@ -498,7 +499,7 @@ def test_the_network_has_the_papers_shapes():
 
 
 @pytest.mark.parametrize("memory", model.MEMORIES)
-def test_a_sequence_at_once_equals_step_by_step(memory):
+def test_a_whole_sequence_equals_the_same_steps_one_by_one(memory):
     net, seen = network(memory), random_observations(3, 7)
     whole, values, last = net(seen, net.initial_state(3))
     state = net.initial_state(3)
@@ -511,7 +512,7 @@ def test_a_sequence_at_once_equals_step_by_step(memory):
 
 @pytest.mark.parametrize("without, inputs", [
     ("image", ["image"]), ("target", ["target"]), ("last", ["velocity", "last_reward"])])
-def test_a_blanked_input_makes_no_difference(without, inputs):
+def test_a_blanked_input_has_no_effect(without, inputs):
     for blanked, same in ((without, True), ("", False)):
         net, seen = network(without=blanked), random_observations(2, 3)
         values = net(seen, net.initial_state(2))[1]
@@ -535,17 +536,16 @@ def test_gradients_reach_the_first_convolution_and_both_lstms():
 
 
 @pytest.mark.parametrize("last_value", [0.0, 0.7])  # terminated, truncated
-def test_advantages_are_the_brute_force_double_sum(last_value):
+def test_advantages_equal_the_double_sum_of_their_definition(last_value):
     rng, gamma, lam = np.random.default_rng(0), 0.9, 0.8
     r, V = rng.normal(size=6), np.append(rng.normal(size=6), last_value)
     expected = [sum((gamma * lam) ** (k - t) * (r[k] + gamma * V[k + 1] - V[k])
                     for k in range(t, 6)) for t in range(6)]
-    A = ppo.advantages(r, V[:-1], last_value, gamma, lam)
-    assert np.allclose(A, expected)
+    assert np.allclose(ppo.advantages(r, V[:-1], last_value, gamma, lam), expected)
 
 
 def slow_losses(net, episodes, A, eps):
-    """Both losses, one step of one episode at a time."""
+    """Returns policy and value loss, computed one step of one episode at a time."""
     policy, value, steps = 0.0, 0.0, sum(len(e) for e in episodes)
     for e, a in zip(episodes, A):
         state = net.initial_state(1)
@@ -559,7 +559,7 @@ def slow_losses(net, episodes, A, eps):
     return policy, value
 
 
-def test_padded_episodes_have_the_losses_and_gradients_of_each_step_by_itself():
+def test_padding_does_not_change_losses_and_gradients():
     net, episodes = network(), random_episodes([3, 9, 5, 1, 4])
     A = [torch.randn(len(e)).numpy() for e in episodes]
     batch = ppo.make_minibatch(episodes, A)
@@ -576,7 +576,7 @@ def test_padded_episodes_have_the_losses_and_gradients_of_each_step_by_itself():
         assert (gradient - slow_gradient).norm() < 1e-5 * slow_gradient.norm()
 
 
-def test_the_clipped_loss_is_that_of_eq_3():
+def test_the_clipped_loss_follows_eq_3():
     net, episodes = network(), random_episodes([4])
     A = np.float32([1.0, -1.0, 2.0, -0.5])
     seen = {key: torch.tensor(value[None]) for key, value in episodes[0].observations.items()}
@@ -590,16 +590,16 @@ def test_the_clipped_loss_is_that_of_eq_3():
 
 
 def collect(collector, least):
-    """(Episode, info) pairs, until `least` of them have ended."""
+    """Returns (Episode, info) pairs as soon as at least `least` episodes have ended."""
     ended = []
     while len(ended) < least:
         ended += collector.step()
     return ended
 
 
-def test_the_first_minibatch_between_two_updates_has_ratio_1_and_kl_0():
+def test_the_first_minibatch_of_an_update_has_ratio_1_and_kl_0():
     net = network()
-    torch.nn.init.orthogonal_(net.action_head.weight)  # so that the memory shows in the actions
+    torch.nn.init.orthogonal_(net.action_head.weight)  # so that the memory affects the actions
     collector = ppo.Collector(navbot_min.NavVecEnv(4, max_episode_steps=25), net, 0.01, 0, 0)
     episodes = [episode for episode, _ in collect(collector, 12)]
     batch = ppo.make_minibatch(episodes, [np.zeros(len(e), np.float32) for e in episodes])
@@ -613,7 +613,7 @@ def test_the_first_minibatch_between_two_updates_has_ratio_1_and_kl_0():
     assert np.allclose(values[batch["mask"]].detach(), expected, atol=1e-4)
 
 
-def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_limit():
+def test_only_truncated_episodes_bootstrap_from_their_true_last_observation():
     net, last = network(), {}
     env = navbot_min.NavVecEnv(4, max_episode_steps=12)
     collector, step = ppo.Collector(env, net, 0.01, 0, 0), env.step
@@ -641,7 +641,7 @@ def test_bootstrapping_is_from_the_true_last_observation_and_only_at_the_time_li
 
 
 class Cue(VectorEnv):
-    """A cue shown at the first step alone; the second and last action is paid by its sign."""
+    """Shows a cue only at the first step. The second action, the last, is rewarded by its sign."""
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
     num_envs, max_episode_steps = 32, 2
 
@@ -662,23 +662,22 @@ class Cue(VectorEnv):
         self.t += 1
         done = np.full(self.num_envs, self.t == 2)
         reward = self.cue * np.clip(actions[:, 1], -1, 1) * done
-        infos = {"final_info": {"paid": np.sign(reward)}} if done[0] else {}
+        infos = {"final_info": {"sign": np.sign(reward)}} if done[0] else {}
         observations = self.reset()[0] if done[0] else self.look()
         return observations, reward, done, np.zeros_like(done), infos
 
 
-def test_a_cue_at_the_first_step_is_learnt_by_the_lstm_and_not_without_memory():
-    config, paid = train.Config(epochs=6, minibatches=1, lam=1.0), {}
+def test_the_lstm_learns_to_use_a_cue_from_the_step_before_and_no_memory_does_not():
+    config, signs = train.Config(epochs=6, minibatches=1, lam=1.0), {}
     for memory in ("stacked", "none"):
         net, rng = network(memory), np.random.default_rng(0)
         optimizer = torch.optim.Adam(net.parameters(), 2e-3, eps=1e-5)
         collector = ppo.Collector(Cue(), net, 1.0, 0, 0)
         for _ in range(16):
-            ended = collect(collector, 32)
-            episodes = [episode for episode, _ in ended]
+            episodes = [episode for episode, _ in collect(collector, 32)]
             ppo.update(net, optimizer, episodes, config, rng)
-        paid[memory] = np.mean([info["paid"] for _, info in collect(collector, 256)])
-    assert paid["stacked"] > 0.8 and abs(paid["none"]) < 0.3, paid
+        signs[memory] = np.mean([info["sign"] for _, info in collect(collector, 256)])
+    assert signs["stacked"] > 0.8 and abs(signs["none"]) < 0.3, signs
 
 
 # --------------------------------------------------------------------------------------- training
@@ -690,7 +689,7 @@ TINY = ["--steps", "600", "--robots", "8", "--episodes-per-update", "8",
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two tiny trainings with one seed, in one folder, as a user starts them."""
+    """The folder and outputs of two tiny runs with the same seed, started as a user starts them."""
     folder, outputs = tmp_path_factory.mktemp("runs"), []
     for _ in range(2):
         outputs.append(subprocess.run(
@@ -699,7 +698,7 @@ def runs(tmp_path_factory):
     return folder / "runs", outputs
 
 
-def test_training_leaves_a_whole_run_folder_and_overwrites_none(runs):
+def test_training_writes_a_complete_run_folder_and_overwrites_none(runs):
     folder, outputs = runs
     assert [done.returncode for done in outputs] == [0, 0], outputs[0].stderr
     assert sorted(run.name for run in folder.iterdir()) == ["env1-seed0", "env1-seed0-2"]
@@ -725,7 +724,7 @@ def test_the_same_seed_writes_the_same_episodes_and_weights_byte_for_byte(runs):
 
 
 class Rows:
-    """In the place of a RunFolder: keeps the rows of its tables."""
+    """Replaces a RunFolder: keeps the rows of its tables in memory."""
 
     def __init__(self):
         self.tables = {"episodes.csv": self, "updates.csv": self}
@@ -734,15 +733,14 @@ class Rows:
     def add(self, row):
         (self.episodes if "kind" in row else self.updates).append(row)
 
-    def save_checkpoint(self, state):
-        """Keeps none."""
+    def ignore(self, *_, **__):
+        """Writes nothing."""
 
-    def offer_weights(self, model, scenes, now=False):
-        """Keeps none."""
+    save_checkpoint = offer_weights = ignore
 
 
 def train_on(config):
-    """A training in env1, done, with the rows of its tables in `folder`."""
+    """Returns a finished Training in env1, with the rows of its tables in `folder`."""
     training = train.Training(config, [ENV1])
     training.folder = Rows()
     train.train(training)
@@ -750,21 +748,20 @@ def train_on(config):
 
 
 def test_new_targets_never_reach_an_update(monkeypatch):
-    learnt = []
+    distances = []
 
     def spy(model, optimizer, episodes, *_):
-        learnt.extend(episode.observations["target"][0, 0].item() for episode in episodes)
+        distances.extend(episode.observations["target"][0, 0].item() for episode in episodes)
         return {}
     monkeypatch.setattr(train, "update", spy)
-    config = train.Config(steps=1200, robots=8, episodes_per_update=8, random_starts=0.0)
-    training = train_on(config)
+    training = train_on(train.Config(steps=1200, robots=8, episodes_per_update=8, random_starts=0))
     kinds = {row["kind"] for row in training.folder.episodes}
-    assert kinds == {"training", "new"} and len(learnt) >= 16
+    assert kinds == {"training", "new"} and len(distances) >= 16
     away = [np.hypot(*np.subtract(t, ENV1.start[:2])) for t in ENV1.training_targets]
-    assert all(min(abs(d - a) for a in away) < 1e-4 for d in learnt)  # all from the one start
+    assert all(min(abs(d - a) for a in away) < 1e-4 for d in distances)  # all from the same start
 
 
-def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
+def test_random_starts_are_free_and_far_and_not_used_for_new_targets():
     env = navbot_min.NavVecEnv(400, random_starts=0.7)
     poses = env.reset(seed=0)[1]["pose"]
     elsewhere = ~np.isclose(poses[:, :2], ENV1.start[:2]).all(1)
@@ -773,13 +770,12 @@ def test_random_starts_are_free_far_and_never_on_the_way_to_a_new_target():
     assert ENV1.clearance(poses[:, :2]).min() > sim.ROBOT_RADIUS
     assert np.hypot(*(poses[:, :2] - env.goals).T).min() >= 1
     assert (np.ptp(poses[elsewhere], axis=0) > (3, 1.5, 5)).all()
-    tiny = scenes.parse(square_room(0.5, training_targets=[[0.3, 0.0]],
-                                       new_targets=[[0.0, 0.3]]), "nowhere 1 m from its target")
-    env = navbot_min.NavVecEnv(4, [tiny], "training", random_starts=1.0)
+    tiny = scenes.parse(square_room(0.5, training_targets=[[0.3, 0.0]], new_targets=[]), "tiny")
+    env = navbot_min.NavVecEnv(4, [tiny], "training", random_starts=1.0)  # no place is 1 m away
     assert (env.reset(seed=0)[1]["pose"][:, 0] < 0).all()
 
 
-def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers():
+def test_weights_stay_finite_with_equal_advantages_and_after_the_budget():
     net = network()
     optimizer = torch.optim.Adam(net.parameters())
     config = train.Config(epochs=1, minibatches=1)
@@ -791,7 +787,7 @@ def test_an_update_of_equal_advantages_and_one_past_the_last_step_leave_numbers(
 
 
 @pytest.mark.parametrize("fixed_budget", [False, True])
-def test_the_rule_stops_at_once_and_in_a_fixed_budget_nothing(fixed_budget, monkeypatch):
+def test_the_rule_stops_at_once_unless_the_budget_is_fixed(fixed_budget, monkeypatch):
     monkeypatch.setattr(train, "WINDOW", 1)
     monkeypatch.setattr(train, "SUCCESS_RATE", -1)  # the first test episode meets the rule
     training = train_on(train.Config(steps=400, robots=8, fixed_budget=fixed_budget))
@@ -803,28 +799,28 @@ def test_the_rule_stops_at_once_and_in_a_fixed_budget_nothing(fixed_budget, monk
         assert training.steps == training.folder.episodes[-1]["steps"]
 
 
-def test_the_deviation_is_limited_to_its_share_and_never_raised():
+def test_the_standard_deviation_is_limited_and_never_raised():
     net = network()
-    for share, expected in ((2.0, 1.0), (0.5, 0.5), (0.8, 0.5)):
-        net.limit_std(share)
+    for fraction, expected in ((2.0, 1.0), (0.5, 0.5), (0.8, 0.5)):
+        net.limit_std(fraction)
         limited = torch.tensor(model.INITIAL_STD) * expected
         assert torch.allclose(net.log_std.exp(), limited)
 
 
-@pytest.mark.parametrize("arrivals, misses, met", [
+@pytest.mark.parametrize("arrivals, failures, met", [
     (61, 139, True), (60, 40, False), (99, 0, False)])
-def test_the_rule_is_more_than_60_of_the_last_100_test_episodes(arrivals, misses, met):
+def test_the_rule_needs_more_than_60_arrivals_in_100_test_episodes(arrivals, failures, met):
     training = train.Training(train.Config(), [ENV1])
-    for outcome in ["collision"] * misses + ["arrival"] * arrivals:
+    for outcome in ["collision"] * failures + ["arrival"] * arrivals:
         training.record({"kind": "new", "outcome": outcome})
-        training.record({"kind": "training", "outcome": "arrival"})  # does not count
+        training.record({"kind": "training", "outcome": "arrival"})  # not counted
     assert training.stops_by_rule() is met
 
 
-def test_the_deviations_shrink_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
+def test_the_standard_deviation_shrinks_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
     fractions = []
     monkeypatch.setattr(train, "update", lambda *_: {})
-    monkeypatch.setattr(model.Network, "limit_std", lambda self, share: fractions.append(share))
+    monkeypatch.setattr(model.Network, "limit_std", lambda self, limit: fractions.append(limit))
     training = train_on(train.Config(steps=2000, fixed_budget=True, robots=16, minibatches=1,
                                      episodes_per_update=2))
     steps = [row["steps"] for row in training.folder.updates]

@@ -54,7 +54,7 @@ def evaluate_many(training):
 
 
 def evaluate_frozen(training):
-    """Evaluates levels 1 and 2 with sampled actions, and with mean actions, one episode per target."""
+    """Evaluates levels 1 and 2 with sampled actions, and one mean-action episode per target."""
     frozen = evaluate_policy(training, training.scenes, "sampled", "start")
     by_mean = evaluate_policy(training, training.scenes, "mean", "start", episodes=1)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):

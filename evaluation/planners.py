@@ -246,7 +246,7 @@ class DStar(Planner):
 
 
 def room_ahead(readings, direction):
-    """Distance [m], at most RANGE, that the disc can drive in a direction [rad from the heading]."""
+    """Distance [m], at most RANGE, that the disc can drive in a direction [rad from heading]."""
     x = readings * np.cos(ANGLES - direction)  # measured points, along the direction
     y = readings * np.sin(ANGLES - direction)  # and across it
     radius = ROBOT_RADIUS + MARGIN

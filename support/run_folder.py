@@ -44,7 +44,7 @@ class Table:
         self.writer = csv.writer(self.file)
 
     def add(self, row):
-        """Adds a row, a dict from column to value. Raises OSError."""
+        """Adds a row: a dict from column to value. Raises OSError."""
         if self.file.tell() == 0:
             self.writer.writerow(row)
         self.writer.writerow(row.values())
