@@ -5,7 +5,7 @@ import pandas as pd
 
 import scenes
 from experiments import diagrams, figures
-from experiments.tables import ROOMS_LEARNT, read
+from experiments.tables import LAB, ROOMS_LEARNT, read
 from support.pictures import PALETTE
 
 
@@ -46,17 +46,31 @@ def test_success_against_the_number_of_rooms_is_the_mean_of_seeds():
     axes, = figures.draw_rooms_learnt(level3, rooms).axes
     means = [line.get_ydata() for line in axes.lines[1::2]]
     k = np.arange(1, 7)
-    assert np.allclose(means, [97 - k, k + 2, k + 22])
+    assert np.allclose(means, [97 - k, k + 22, k + 2])
 
 
-def test_frozen_policies_stand_at_the_episodes_that_they_learnt_in_the_lab():
+def test_fig_4_and_5_show_median_and_range_of_the_seeds_as_long_as_all_of_them_train():
+    curves = pd.DataFrame([{"env": "env1", "way": way, "seed": seed, "kind": kind,
+                            "episodes": 100 + 50 * k, "success": value + k, "return": value - k}
+                           for way in figures.WAYS for kind in ("training", "new")
+                           for seed, value in enumerate((10, 70, 20)) for k in range(seed + 2)])
+    for axes, sign in zip(figures.draw_learning(curves, "env1").axes, (1, 1, -1, -1)):
+        _, *medians = axes.lines  # after the paper's curve
+        for line, band in zip(medians, axes.collections, strict=True):
+            assert line.get_xydata().tolist() == [[100, 20], [150, 20 + sign]]
+            corners = set(map(tuple, band.get_paths()[0].vertices))
+            assert corners == {(100, 10), (150, 10 + sign), (150, 70 + sign), (100, 70)}
+
+
+def test_each_training_has_a_row_in_the_lab_with_a_dot_for_each_seed_and_their_mean():
     lab = read("lab.csv")
-    success, *_ = figures.draw_lab(lab, read("lab-curves.csv")).axes
-    points = {line.get_label(): line.get_xydata() for line in success.lines}
-    for label, *ways in (("from env2 policy", "env2", "from-env2"),
-                         ("from random weights", "from-scratch")):
-        expected = [(row.allowed, row.new_success) for row in lab.itertuples() if row.way in ways]
-        assert sorted(map(tuple, points[label])) == sorted(expected)
+    success, *_ = figures.draw_lab(lab).axes
+    names = [name.get_text().replace("\n", " ") for name in success.get_yticklabels()]
+    row = max(k for k, name in enumerate(names) if name == LAB["from-scratch"])
+    expected = lab.query("way == 'from-scratch' and allowed == 3000").new_success
+    [mean], dots = [line.get_xdata() for line in success.lines if set(line.get_ydata()) == {row}]
+    assert mean == expected.mean() and sorted(dots) == sorted(expected)
+    assert len(names) == len(lab.groupby(["way", "allowed"]))
 
 
 def test_the_benchmark_is_drawn_as_microseconds_at_every_count_that_was_measured():

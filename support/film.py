@@ -36,7 +36,7 @@ class EpisodeView:
         self._text = partial(figure.text, fontsize=10, transform=None)  # None: places in pixels
         target = f"{kind_of(scene, goal)} target".removeprefix("goal ")
         self._text(MAP[0], BELOW, f"blue cube in the ring: {target}")
-        self._text(CAMERA_CORNER[0], ABOVE, f"what the robot sees{pace}")
+        self._text(CAMERA_CORNER[0], ABOVE, f"camera image{pace}")
         self._text(CAMERA_CORNER[0], BELOW, label)
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
@@ -61,7 +61,7 @@ class EpisodeView:
 
 def write_film(trace, file):
     """Writes a trace that has images as a GIF. file: a path or a binary file."""
-    pace = f", {RENDER_FPS * CONTROL_PERIOD:g} times faster than life"
+    pace = f", {RENDER_FPS * CONTROL_PERIOD:g} times real time"
     view = EpisodeView(trace.scene, trace.goal, trace.label, pace)
     commands = [(0, 0), *trace.commands]  # none led to the start
     frames = list(map(view.frame, trace.poses, trace.images, commands, range(len(commands))))

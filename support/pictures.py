@@ -30,9 +30,9 @@ SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points
            "env2": {"training": 500, "new": 100}}
 WINDOW = 100  # episodes in a success rate, paper IV-B
 KINDS = {  # of episodes in each task, and their names in a picture
-    "memorize": {"training": "the one target"},
+    "memorize": {"training": "training target"},
     "both": {"training": "training targets", "new": "new targets"},
-    "anywhere": {"training": "rooms learnt in", "new": "rooms not learnt in"}}
+    "anywhere": {"training": "training rooms", "new": "new rooms"}}
 FEWEST = 5  # episodes in a patch of the floor whose success rate is shown
 
 # Colours that meet in a picture differ for colour-blind readers too (`test_pictures.py`).
@@ -50,7 +50,7 @@ MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
 # Entries of legends: the robot's disc at its start, and a white patch of a painted floor.
 START = Line2D([], [], color=PALETTE["robot"], marker="o", ms=8, ls="none", label="start")
-TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"under {FEWEST} episodes: too few to tell")
+TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"fewer than {FEWEST} episodes")
 
 
 def save(figure, path):
@@ -139,7 +139,7 @@ def draw_demo(scene, traces):
     draw_robot(axes, trace.start)
     moments = np.linspace(0, len(trace.images) - 1, 6).astype(int)
     camera.imshow(np.hstack(trace.images[moments]))
-    camera.set_title("what the camera saw on the way to the target in the ring, from start to end")
+    camera.set_title("camera images on the path to the target in the ring, from start to end")
     camera.axis("off")
     legend_of_paths(figure, scene, traces)
     return figure
@@ -180,15 +180,15 @@ def draw_curves(episodes, env, stop_rate, task="both"):
             if in_paper:
                 theirs = released_curve(env, kind)
                 axes.plot(theirs[0], theirs[k], color=PALETTE["paper"], lw=2,
-                          label="the paper's run, released records")
+                          label="the paper's run")
             if len(rows) >= window:
                 ours = curve(rows, window)
                 axes.plot(ours[0], ours[k], "o-", color=PALETTE["run"], ms=4, label="this run")
             else:
-                axes.text(0.03, 0.92, f"this run: under {window} episodes",
+                axes.text(0.03, 0.92, f"this run: fewer than {window} episodes",
                           transform=axes.transAxes, color=PALETTE["run"])
         column[0].set_title(name, color=PALETTE[kind], weight="bold")
-        column[1].set(xlabel="episodes", ylabel=f"mean reward,\nlast {window} episodes")
+        column[1].set(xlabel="episodes", ylabel=f"mean return,\nlast {window} episodes")
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
     if "new" in kinds:
         panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
@@ -214,7 +214,7 @@ def draw_trajectories(scene, traces, most=20):
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flat
     for axes, (goal, group) in zip(panels, groups.items()):
         draw_room(axes, scene)
-        name = "goals anywhere"
+        name = "random targets"
         if goal:
             draw_target(axes, scene, goal, ring=True)
             name = f"{kind_of(scene, goal)} target ({goal[0]:.1f}, {goal[1]:.1f})"
@@ -228,7 +228,7 @@ def draw_trajectories(scene, traces, most=20):
         axes.label_outer()
     for axes in panels[len(groups):]:
         axes.axis("off")
-    figure.suptitle(f"{scene.name}: where the robot drove", parse_math=False)
+    figure.suptitle(f"{scene.name}: paths", parse_math=False)
     legend_of_paths(figure, scene, traces)
     return figure
 

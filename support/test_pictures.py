@@ -36,7 +36,7 @@ def test_curves_are_means_over_full_windows_and_a_panel_without_one_says_why():
         means = [np.mean(values[end - window:end]) for end in (200, 400, 450)]
         assert np.allclose(run.get_ydata(), np.multiply(means, 100 if panel is axes[0] else 1))
     assert [[text.get_text() for text in panel.texts] for panel in axes] == [
-        [], ["this run: under 100 episodes"]] * 2
+        [], ["this run: fewer than 100 episodes"]] * 2
 
 
 def test_each_target_has_a_panel_of_paths_drawn_evenly_and_all_goals_anywhere_share_one():
