@@ -242,9 +242,8 @@ def draw_words(axes, trace, t, distance, bearing):
              f"last reward: {trace.rewards[t - 1]:.1f}", "input"),
             (3.94, 2.3, 0.72, 0.8, "", "policy", "memory"),
             (5.4, 2.3, 1.56, 1.1, "action",
-             f"linear: {v:.2f} m/s\n(0 to {MAX_LINEAR_VELOCITY:g})\n"
-             f"angular: {w:+.2f} rad/s\n(-{MAX_ANGULAR_VELOCITY:g} to {MAX_ANGULAR_VELOCITY:g})",
-             "output"),
+             f"linear velocity\n{v:.2f} m/s (max. {MAX_LINEAR_VELOCITY:g})\n"
+             f"angular velocity\n{w:+.2f} rad/s (max. {MAX_ANGULAR_VELOCITY:g})", "output"),
             (1.67, 0.6, 3.1, 0.86, f"reward for a step of {CONTROL_PERIOD} s",
              f"arrival: {ARRIVAL_REWARD:+g}\ncollision: {COLLISION_REWARD:+g}\n"
              f"otherwise: {PROGRESS_REWARD:g} x progress [m] - {STEP_COST:g}", "layer"),

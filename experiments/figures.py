@@ -1,15 +1,12 @@
 """The figures of the results: `python -m experiments.figures` draws all of them into pictures/.
-Their data are tables of results/, read by `experiments.tables.read`, or fresh episodes that the
-policies of pretrained/ drive."""
+Tables are read by `experiments.tables.read`. Paths are new episodes of policies in pretrained/."""
 
-import textwrap
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import scenes
 from evaluation import PATCH, Assignment, Policy, film_episode, rollouts
@@ -33,13 +30,12 @@ from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, d
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
-WAYS = {"one-start": "one start pose", "varied": "random starts, mirrored rooms"}  # to train
-# Colours of Okabe and Ito, which differ for colour-blind readers too.
-SIX = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
+WAYS = {"one-start": "one start pose", "varied": "random starts, mirrored rooms"}  # way: label
+SIX = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")  # by Okabe and Ito
 
 
 def page(height, rows=1, columns=1, **options):
-    """Returns an empty Figure, WIDTH x height [inch], and its panels. options: of `subplots`."""
+    """Returns an empty Figure, WIDTH x height [inch], and its panels. options: for `subplots`."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
 
@@ -120,9 +116,9 @@ def draw_hidden():
     figure, panels = page(4.5, len(ENVS), 3)
     for row, env in zip(panels, ENVS):
         driver, scene = pretrained(env)
-        robots = [Assignment(scene, len(scene.targets) - 1, 1)] * 8
+        last = len(scene.targets) - 1
         for axes, hidden in zip(row, ("", "place", "cube")):
-            traces = rollouts(driver, robots, hidden=hidden)
+            traces = rollouts(driver, [Assignment(scene, last, 1)] * 8, hidden=hidden)
             arrived = sum(trace.arrived for trace in traces)
             draw_room(axes, scene)
             axes.set(xlabel=f"{env}, {hidden or 'nothing'} hidden: {arrived} of 8 arrive",
@@ -145,8 +141,7 @@ def draw_fig6(env):
 def draw_rooms():
     """Draws rooms from above, the test rooms in frames, with the fraction of blocked paths."""
     figure, panels = page(6.75, 5, 5)
-    figure.suptitle("test rooms (in frames) and random rooms: fraction of straight paths that are "
-                    "blocked", fontsize=11)
+    figure.suptitle("test rooms (framed) and random rooms: fraction of straight paths blocked")
     for axes, name in zip(panels.flat, (*TEST_ROOMS, *(f"random:{k}" for k in range(20)))):
         scene = scenes.load(name)
         draw_room(axes, scene)
@@ -156,8 +151,7 @@ def draw_rooms():
 
 
 def draw_rooms_learnt(level3, rooms):
-    """Draws success with random starts and targets, a dot for each seed and lines for their means,
-    against the number of training rooms."""
+    """Draws success with random starts and targets against the number of training rooms."""
     in_tests = rooms[rooms.targets == "anywhere"].groupby(["way", "seed"]).success.mean()
     runs = level3[level3.way.isin(ROOMS_LEARNT)].join(in_tests, on=["way", "seed"])
     runs["place"] = runs.way.map(list(ROOMS_LEARNT).index)
@@ -170,9 +164,8 @@ def draw_rooms_learnt(level3, rooms):
         axes.plot(runs.place, runs[column], mark, color=PALETTE[colour], ms=4)
         axes.plot(means[column], mark + "-", color=PALETTE[colour], ms=7, label=name)
     new, known = means.validation_success.round(), means.training_success.round()
-    axes.set_title("From 1 to 16 training rooms, success rises from "
-                   f"{new[0]:g} to {new[2]:g} % in new rooms,\nbut falls from "
-                   f"{known[0]:g} to {known[2]:g} % in the training rooms", fontsize=11)
+    axes.set_title(f"1 to 16 rooms: success in new rooms rises from {new[0]:g} to {new[2]:g} %,\n"
+                   f"but success in the training rooms falls from {known[0]:g} to {known[2]:g} %")
     axes.set(xticks=range(len(ROOMS_LEARNT)), xticklabels=ROOMS_LEARNT.values(), ylim=(0, 103),
              xlabel="number of training rooms",
              ylabel="success rate with random\nstart and target [%]")
@@ -197,9 +190,9 @@ def draw_any_room():
         arrived = sum(trace.arrived for trace in here)
         axes.set(title=f"{scene.name}: {arrived} of {len(here)} arrive",
                  xlabel="", ylabel="", xticks=[], yticks=[])
-    legend_below(figure, [Line2D([], [], color=PALETTE["robot"], marker=mark, ls="none", label=name)
-                          for mark, name in (("o", "start"), ("s", "target"), ("X", "failure"))],
-                 ncols=3, title="one colour for each episode")
+    for mark, name in (("o", "start"), ("s", "target"), ("X", "failure")):
+        axes.plot([], [], mark, color=PALETTE["robot"], label=name)
+    legend_below(figure, ncols=3, title="one colour for each episode")
     return figure
 
 
@@ -275,14 +268,13 @@ def draw_lab(lab):
             axes.plot(runs[column].mean(), y, "|", ms=20, mew=2.5, color=colour)
             axes.plot(runs[column], [y] * len(runs), "o", ms=9, alpha=0.5, mew=0, color=colour,
                       label=f"{allowed:,}")
-        axes.set_xlim(0, None)
-        axes.set_title(title, fontsize=10)
+        axes.set(xlim=(0, None), title=title)
         axes.grid(alpha=0.3)
     panels[0].plot(51, list(rows).index((3000, "from-env2")), "*", ms=13, color=PALETTE["arrival"],
                    label="3,000, the paper's real robot")  # IV-C
     panels[0].set(xlim=(-2, 102), yticks=range(len(rows)), ylim=(len(rows) - 0.4, -0.6),
-                  yticklabels=[textwrap.fill(LAB[way], 30) for _, way in rows])
-    legend_below(figure, ncols=4, title="episodes of training in the lab (dot: one seed, bar: mean)")
+                  yticklabels=[LAB[way].replace(" with", "\nwith") for _, way in rows])
+    legend_below(figure, ncols=4, title="training episodes in the lab (dot: one seed, bar: mean)")
     return figure
 
 
@@ -304,8 +296,7 @@ def draw_lab_map():
         axes.plot(*np.array(poses)[:, :2].T, style, color=PALETTE[colour], label=label)
     draw_target(axes, scene, robot.goal, ring=True)
     draw_robot(axes, robot.true_poses[0])
-    axes.set(title="map by the robot: white is free, black is occupied, grey is unknown",
-             xlabel="x [m]", ylabel="y [m]")
+    axes.set(title="map by the robot (grey: unknown)", xlabel="x [m]", ylabel="y [m]")
     legend_below(figure, [START, target_handles(scene)[-1]], ncols=5)
     return figure
 

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about a figure of the results or a diagram."""
+"""Tests of the figures and the diagrams."""
 
 import numpy as np
 import pandas as pd
@@ -16,18 +16,18 @@ def test_memorizing_and_reasoning_shows_every_seed_of_both_ways_and_the_frozen_p
                            for kind in ("training", "new") for k in range(seed + 2)])
     seeds = curves[["env", "way", "seed"]].drop_duplicates().assign(steps=5000, new_success=70)
     for axes in figures.draw_memorizing_reasoning(curves, seeds).axes:
-        beside = set()
+        places = set()
         for way in figures.WAYS:
             lines = [line for line in axes.lines if line.get_color() == PALETTE[way]]
             assert [len(line.get_xdata()) for line in lines] == [2, 3, 4, 5, 6, 5]
             assert lines[4].get_xydata()[-1].tolist() == [5, 50]
             assert set(lines[5].get_ydata()) == {70}
-            beside |= set(lines[5].get_xdata())
-        # The frozen policies are next to the curves and next to each other: nothing hides them.
-        assert len(beside) == 2 and 5 < min(beside) and max(beside) < axes.get_xlim()[1]
+            places |= set(lines[5].get_xdata())
+        # The frozen policies are right of the curves and next to each other, so none is hidden.
+        assert len(places) == 2 and 5 < min(places) and max(places) < axes.get_xlim()[1]
 
 
-def test_a_patch_of_the_floors_weighs_every_episode_alike_not_every_seed():
+def test_a_patch_of_the_floor_weights_episodes_not_seeds_equally():
     scene = scenes.load("env1")
     x, y = scene.bounds[0] + 0.25 * np.array((6, 4))
     floor = pd.DataFrame([{"env": "env1", "way": way, "x": x, "y": y, "n": n, "success": success}
@@ -36,7 +36,7 @@ def test_a_patch_of_the_floors_weighs_every_episode_alike_not_every_seed():
         assert panel.collections[-1].get_array().compressed().tolist() == [25]
 
 
-def test_success_against_the_number_of_rooms_is_the_mean_of_seeds():
+def test_success_against_the_number_of_training_rooms_is_the_mean_of_the_seeds():
     level3 = pd.DataFrame([{"way": way, "seed": seed, "training_success": 99 - k - seed,
                             "validation_success": k + seed}
                            for k, way in enumerate(["any-room", *ROOMS_LEARNT]) for seed in (1, 3)])
@@ -73,7 +73,7 @@ def test_each_training_has_a_row_in_the_lab_with_a_dot_for_each_seed_and_their_m
     assert len(names) == len(lab.groupby(["way", "allowed"]))
 
 
-def test_the_benchmark_is_drawn_as_microseconds_at_every_count_that_was_measured():
+def test_the_benchmark_is_drawn_in_microseconds_at_every_measured_count():
     rates = {"1": 1000.0, "32": 10000.0, "256": 20000.0}
     measured = dict.fromkeys(["env_sps", "camera_fps", "world_sps", "camera_fps_boxes"], rates)
     left, right = figures.draw_benchmark(measured).axes
@@ -82,14 +82,14 @@ def test_the_benchmark_is_drawn_as_microseconds_at_every_count_that_was_measured
         assert line.get_xydata().tolist() == [[1, 1000], [32, 100], [256, 50]]
 
 
-def test_a_picture_is_written_where_the_pages_look_for_it(tmp_path, monkeypatch):
+def test_a_picture_is_written_to_the_folder_that_the_pages_link(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "ROOT", tmp_path)
     (tmp_path / "pictures").mkdir()
     figures.main(["--only", "benchmark.png"])
     assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["benchmark.png"]
 
 
-def test_the_network_is_drawn_with_the_sizes_of_the_paper():
+def test_the_network_is_drawn_with_the_sizes_in_the_paper():
     page, = diagrams.draw_network(np.zeros((48, 64, 3))).axes
     words = {text.get_text() for text in page.texts}
     assert {"conv 8x6\nstride 4", "16x12\n32 maps", "conv 4x3\nstride 2", "8x6\n64 maps",
@@ -97,7 +97,7 @@ def test_the_network_is_drawn_with_the_sizes_of_the_paper():
             "32\nvalues", "34", "256", "259", "LSTM\n256", "dense\n256"} <= words
 
 
-def test_no_letter_of_a_diagram_is_outside_or_over_another():
+def test_the_texts_of_a_diagram_are_inside_and_do_not_overlap():
     for name, draw in diagrams.DIAGRAMS.items():
         figure = draw()
         figure.draw_without_rendering()

@@ -1,4 +1,4 @@
-"""Proofs of the pictures and the film."""
+"""Tests of the pictures and the film."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def trace(goal, places):
                  commands=np.tile((0.3, 0.0), (T, 1)), rewards=np.zeros(T), outcome="arrival")
 
 
-def test_curves_are_means_over_full_windows_and_a_panel_without_one_says_why():
+def test_curves_are_means_over_full_windows_and_a_panel_without_one_has_a_note():
     rng = np.random.default_rng(0)
     rows = [{"kind": kind, "outcome": str(rng.choice(["arrival", "timeout"])),
              "return": str(rng.normal())} for kind in ["training"] * 450 + ["new"] * 99]
@@ -39,7 +39,7 @@ def test_curves_are_means_over_full_windows_and_a_panel_without_one_says_why():
         [], ["this run: fewer than 100 episodes"]] * 2
 
 
-def test_each_target_has_a_panel_of_paths_drawn_evenly_and_all_goals_anywhere_share_one():
+def test_each_target_has_a_panel_with_evenly_chosen_paths_and_random_targets_share_one():
     goals = [ENV1.targets[0], (-1.0, -3.0), (-2.0, -3.0), *[ENV1.targets[2]] * 100]
     traces = [trace(goal, np.full((k + 3, 2), min(k, 3))) for k, goal in enumerate(goals)]
     first, third, anywhere = pictures.draw_trajectories(ENV1, traces, most=20).axes
@@ -69,7 +69,7 @@ def on_map(place):
 
 
 @pytest.mark.parametrize("goal", (ENV1.targets[0], ENV1.targets[2], (-2.0, -2.0)))
-def test_a_frame_shows_robot_trail_camera_and_only_the_target_of_the_episode(goal):
+def test_a_frame_shows_robot_trail_image_and_only_the_target_of_the_episode(goal):
     driven = trace(goal, [(-1.0, -3.0), (-2.0, -3.0), (-3.5, -3.0)])
     view = film.EpisodeView(ENV1, goal)
     steps = list(zip(driven.poses, driven.images))
@@ -89,7 +89,7 @@ def test_a_frame_shows_robot_trail_camera_and_only_the_target_of_the_episode(goa
         assert blue == np.array_equal(target, goal)
 
 
-def test_a_machine_without_a_display_has_no_window():
+def test_without_a_display_a_window_raises_an_error():
     import matplotlib.pyplot as plt
     plt.switch_backend("agg")
     with pytest.raises(RuntimeError, match="no window .* must be rgb_array"):
