@@ -1,1 +1,1 @@
-"""What makes the published numbers: a list of runs and its runner, tables, figures, benchmark."""
+"""The published numbers: a list of runs and its runner, tables, figures, diagrams, benchmark."""

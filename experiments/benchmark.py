@@ -1,5 +1,5 @@
-"""Speed of each stage, on one core and on all. A number is the median of several timings. What is
-compared is timed in turn. Axis letters: R robots, M sequences, T steps."""
+"""Speed of each stage, on one core and on all. A number is the median of several timings. Trainings
+that are compared take turns. Axis letters: R robots, M sequences, T steps."""
 
 import json
 import subprocess
@@ -27,35 +27,35 @@ from support.pictures import save
 from support.runs import write
 from train import Config
 
-SHORT = ("--fixed-budget", "--evaluation-episodes", "1", "--steps", "18000")  # six updates or so
+SHORT = ("--fixed-budget", "--evaluation-episodes", "1", "--steps", "18000")  # about six updates
 OPTIONS = {
-    "peers": option(False, "time other people's learners too, those that are installed"),
-    "out": option("benchmark.json", "file for the numbers; the plot goes beside it, as .png"),
-    "json": option(False, "print the numbers as JSON, not where they are")}
+    "peers": option(False, "also time the installed learners of other projects"),
+    "out": option("benchmark.json", "file for the numbers; the plot is written next to it as .png"),
+    "json": option(False, "print the numbers as JSON instead of the path of their file")}
 
 
 def rate(call, count):
-    """Returns the steps, images or so per second of a call that makes `count` of them."""
+    """Returns items (steps, images, operations) per second of a call that makes `count` items."""
     timer = Timer(call)
-    number, _ = timer.autorange()  # that many calls take 0.2 s or more
+    number, _ = timer.autorange()  # this many calls take at least 0.2 s
     return count * number / np.median(timer.repeat(7, number))
 
 
 def in_turn(*calls):
-    """Makes these calls in turn, three times. Each returns a dict; returns a DataFrame of each."""
+    """Makes these calls in turn, three times. Each returns a dict; its three become a DataFrame."""
     rounds = [[call() for call in calls] for _ in range(3)]
     return [pd.DataFrame(results) for results in zip(*rounds)]
 
 
 def make_room(boxes):
-    """Returns a closed room of 12 m with that many boxes, four of them its walls."""
+    """Returns a closed room of 12 m with this many boxes, including its four walls."""
     numbers = np.random.default_rng(0).uniform((-4.5, -4.5, 0), (4.5, 4.5, np.pi), (boxes - 4, 3))
     bricks = [Box("brick", *pose, 1.0, 0.3, 1.5) for pose in numbers]
     return Scene("boxes", (*walls(12, 12), *bricks), (5.4, 5.4, 0.0), ((5.4, -5.4),), ())
 
 
 def world_calls(scene, R):
-    """Returns calls that make an image, a step without images and one with images of R robots."""
+    """Returns calls for R robots: an image, a world step, and an environment step with images."""
     env = NavVecEnv(R, [scene], "anywhere")
     env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -66,7 +66,7 @@ def world_calls(scene, R):
 
 
 def measure_network(M=16, T=50, R=32):
-    """Returns the frames per second of each pass, and its floating-point operations for a frame."""
+    """Returns the frames per second of each pass, and its floating-point operations per frame."""
     net = make_network(seed=0)
     seen = {"image": torch.randint(256, (M, T, H, W, 3), dtype=torch.uint8),
             "target": torch.rand(M, T, 2), "velocity": torch.rand(M, T, 2),
@@ -81,7 +81,7 @@ def measure_network(M=16, T=50, R=32):
     fps = {"forward": rate(torch.no_grad()(forward), M * T),
            "both": rate(lambda: forward().backward(), M * T),
            "act": rate(lambda: net.act(one, net.initial_state(R), generator), R)}
-    # oneDNN's LSTM would not be counted.
+    # The counter misses the LSTM of oneDNN.
     with (torch.backends.mkldnn.flags(enabled=False, allow_tf32=None),
           FlopCounterMode(display=False) as counter):
         total = forward()
@@ -95,7 +95,7 @@ def measure(cores):
     """Returns the speed of every stage. Camera, world and environment always use one core."""
     torch.set_num_threads(cores)
     short = (*SHORT, "--workers", str(cores))
-    # Level 1 has no new targets: `one` learns from every step.
+    # Level 1 has no new targets, so `one` learns from every step.
     both, one = in_turn(partial(train, *short), partial(train, *short, "--targets", "memorize"))
     by_robots = {key: {str(R): rate(world_calls("env1", R)[key], R) for R in (1, 32, 256, 1024)}
                  for key in ("camera_fps", "world_sps", "env_sps")}
@@ -115,7 +115,7 @@ def measure(cores):
 
 def train(*options, threads=1, launcher=()):
     """Runs train.py. Returns its steps per second from the first update to the last, the fraction
-    of the steps that is learned from, and what `clocked` prints."""
+    of steps in episodes to training targets, and the output of `clocked`."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, *launcher, "-m", "experiments.clocked", str(threads), *options,
                    "--out", f"{folder}/run"]
@@ -129,7 +129,7 @@ def train(*options, threads=1, launcher=()):
 
 
 def measure_workers(workers):
-    """Trains in each way, on an idle machine and a busy one. Returns the races, and the pauses."""
+    """Trains on an idle and on a busy machine. Returns the speeds, and the lengths of pauses."""
     torchrun = ("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={workers}")
     ways = {"1 worker": partial(train, *SHORT, "--workers", "1"),
             f"{workers} workers": partial(train, *SHORT, "--workers", str(workers)),
@@ -156,7 +156,7 @@ def measure_workers(workers):
 
 
 def measure_programs():
-    """Returns what a user waits for: imports, and the parts of a whole training; and its memory."""
+    """Returns the start-up time of each program, and time and memory of a whole training."""
     commands = {"the demo": ["navbot_min.py"], "training": ["train.py"],
                 "evaluation": ["-m", "evaluation"], "drawing a room": ["-m", "scenes"]}
     start_up = {name: 1 / rate(partial(subprocess.run, [sys.executable, *words, "--help"],
@@ -168,12 +168,12 @@ def measure_programs():
     seconds["other collecting"] = collecting - seconds["act"] - seconds["environment"]
     seconds["other learning"] = (seconds.pop("training") - collecting - seconds["gradient"]
                                  - seconds["optimiser"])
-    del seconds["update"]  # it holds some of the other parts
+    del seconds["update"]  # it contains other parts
     return {"start_up_seconds": start_up, "memory_mb": training["memory_mb"], "seconds": seconds}
 
 
 def main(argv=None):
-    """The command line."""
+    """Runs the command line."""
     options, _ = parse(OPTIONS, "Measure how fast each stage is.", argv)
     path = Path(options.out)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -189,7 +189,7 @@ def main(argv=None):
                 "all_cores": measure(cores)}
     write(path, json.dumps(figures, indent=2))
     save(draw_benchmark(figures), path.with_suffix(".png"))
-    print(json.dumps(figures) if options.json else f"the numbers are in {path}")
+    print(json.dumps(figures) if options.json else f"wrote {path}")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Trains as train.py does, and then prints one line of JSON: how long each call of each part took
-[s], and the memory. `python -m experiments.clocked THREADS` and the options of train.py."""
+"""Trains like train.py, then prints one line of JSON: the seconds of each call of each part, and
+the memory. Usage: `python -m experiments.clocked THREADS`, followed by the options of train.py."""
 
 import json
 import sys
@@ -26,7 +26,7 @@ CLOCKS = (("making", train.Training, "__init__"), ("training", train, "train"),
 
 
 def clocked(call, calls):
-    """Returns the call; it then adds its beginning and its length [s] to the list of calls."""
+    """Returns the call with a clock: each time it appends its start and duration [s] to `calls`."""
     def timed(*arguments):
         start = time.perf_counter()
         result = call(*arguments)
@@ -36,18 +36,18 @@ def clocked(call, calls):
 
 
 def main(threads, argv):
-    """Trains with that many threads of torch's own in each process."""
+    """Trains with this many torch threads in each process."""
     torch.set_num_threads(threads)
-    torch.set_num_threads = lambda count: None  # train.py asks for one
+    torch.set_num_threads = lambda count: None  # train.py sets it to 1
     calls = defaultdict(list)
     for part, owner, name in CLOCKS:
         setattr(owner, name, clocked(getattr(owner, name), calls[part]))
     train.main(argv)
     if parallel.rank() == 0:
-        end = sum(calls["training"][0])  # the evaluation drives too: that does not count
+        end = sum(calls["training"][0])  # excludes the evaluation, which drives too
         seconds = {part: [length for start, length in calls[part]
                           if start < end or part in ("evaluation", "curves")] for part in calls}
-        status = Path("/proc/self/status")  # on Linux; VmHWM is the most memory so far [kB]
+        status = Path("/proc/self/status")  # on Linux; VmHWM is the peak memory [kB]
         held = status.read_text().split("VmHWM:")[1].split()[0] if status.exists() else 0
         print(json.dumps({"seconds": seconds, "memory_mb": int(held) // 1000}))
 

@@ -1,5 +1,5 @@
 """The figures of the results: `python -m experiments.figures` draws all of them into pictures/.
-Tables are as `experiments.tables.read` returns them. Paths are fresh episodes of pretrained/."""
+Tables are read by `experiments.tables.read`. Paths are new episodes of policies in pretrained/."""
 
 from dataclasses import replace
 from functools import partial
@@ -30,41 +30,32 @@ from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, d
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
-WAYS = {"one-start": "one start pose", "varied": "starts anywhere, and mirrored"}  # to train
+WAYS = {"one-start": "one start pose", "varied": "random starts, mirrored rooms"}  # way: label
+SIX = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")  # by Okabe and Ito
 
 
 def page(height, rows=1, columns=1, **options):
-    """Returns an empty Figure, WIDTH x height [inch], and its panels. options: as of subplots."""
+    """Returns an empty Figure, WIDTH x height [inch], and its panels. options: for `subplots`."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
 
 
 def pretrained(name, actions="sampled"):
-    """Returns a driver with a policy of pretrained/, and the first of its scenes."""
+    """Returns a driver with a policy of pretrained/, and the first scene that it trained in."""
     model, rooms = load_model(ROOT / "pretrained" / f"{name}.safetensors")
     return Policy(model, actions, seed=0), rooms[0]
 
 
 def draw_images(panels, images):
-    """Shows images of the camera, one in each panel. images: title -> (H, W, 3)."""
+    """Shows one camera image in each panel. images: title -> (H, W, 3)."""
     for axes, (title, image) in zip(panels, images.items()):
         axes.imshow(image)
-        axes.set_title(title, fontsize=8)
+        axes.set_title(title, fontsize=10)
         axes.axis("off")
 
 
-def draw_paths(axes, scene, traces, title):
-    """Draws the paths of traces over a map, and how many arrive."""
-    draw_room(axes, scene)
-    for trace in traces:
-        draw_path(axes, trace, alpha=0.7, lw=0.9, label=trace.outcome)
-        axes.plot(*trace.start[:2], "o", color=PALETTE["robot"], ms=3, label="start")
-    arrived = sum(trace.arrived for trace in traces)
-    axes.set(xlabel=f"{title}: {arrived} of {len(traces)} arrive", ylabel="", xticks=[], yticks=[])
-
-
 def draw_memorizing_reasoning(curves, seeds):
-    """Draws success on new targets against steps, and that of the frozen last policies."""
+    """Draws success on new targets against steps, next to that of the frozen final policies."""
     figure, panels = page(4.1, 1, 2, sharey=True)
     for axes, env in zip(panels, ENVS):
         budget = seeds[seeds.env == env].steps.max() / 1000
@@ -72,118 +63,141 @@ def draw_memorizing_reasoning(curves, seeds):
             ours = curves.query("env == @env and way == @way and kind == 'new'")
             for _, run in ours.groupby("seed"):
                 axes.plot(run.steps / 1000, run.success, lw=1.2, alpha=0.8,
-                          color=PALETTE[way], label=f"{name}: while training")
+                          color=PALETTE[way], label=f"{name}: during training")
             frozen = seeds.query("env == @env and way == @way").new_success
             axes.plot([place * budget] * len(frozen), frozen, mark, ms=6.5, mfc="none",
-                      color=PALETTE[way], label=f"{name}: last policies, frozen")
+                      color=PALETTE[way], label=f"{name}: final policies, frozen")
         axes.set(title=env, xlabel="steps [thousands]", xlim=(0, 1.1 * budget), ylim=(-3, 103))
         axes.grid(alpha=0.3)
-    panels[0].set_ylabel(f"new targets reached,\nlast {WINDOW} episodes [%]")
-    legend_below(figure, ncols=2)
+    panels[0].set_ylabel(f"success rate on new targets,\nlast {WINDOW} episodes [%]")
+    legend_below(figure, ncols=2, title="five seeds each")
     return figure
 
 
 def draw_learning(curves, env):
-    """Draws Fig. 4 (env1) or 5 (env2) over all seeds, the paper's curves behind."""
+    """Draws Fig. 4 (env1) or 5 (env2): median and range of the seeds, and the paper's curves."""
     figure, panels = page(5.8, 2, 2, sharey="row", sharex="col")
     for column, kind in zip(panels.T, ("training", "new")):
         ours = curves.query("env == @env and kind == @kind")
         episodes, *theirs = released_curve(env, kind)
         for axes, key, values in zip(column, ("success", "return"), theirs):
             axes.semilogx(episodes, values, color=PALETTE["paper"], label="the paper's run")
-            for (way, _), run in ours.groupby(["way", "seed"]):
-                axes.plot(run.episodes, run[key], color=PALETTE[way], lw=1, label=WAYS[way])
+            for way, runs in ours.groupby("way"):
+                seeds = runs.pivot(index="episodes", columns="seed", values=key).dropna()
+                axes.plot(seeds.median(axis=1), color=PALETTE[way], label=WAYS[way])
+                axes.fill_between(seeds.index, seeds.min(axis=1), seeds.max(axis=1), lw=0,
+                                  alpha=0.25, color=PALETTE[way])
             axes.grid(alpha=0.3)
         column[0].set_title(f"{env}, {kind} targets", color=PALETTE[kind], weight="bold")
-        column[1].set(xlabel=f"episodes to {kind} targets", ylabel="average reward, last "
-                      f"{WINDOW}\n(paper: {SPACING[env][kind]}) episodes")
+        column[1].set(xlabel=f"episodes to {kind} targets", ylabel=f"mean return, last {WINDOW}\n"
+                      f"(paper: {SPACING[env][kind]}) episodes")
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
-    legend_below(figure, ncols=3)
+    legend_below(figure, ncols=3, title="line: median of five seeds; band: their range")
     return figure
 
 
 def draw_floors(floor, rooms):
-    """Draws the success of both ways from the start pose to each patch of the floor."""
+    """Draws the success rate, from the start pose, for targets in each patch of the floor."""
     figure, panels = page(6, len(WAYS), len(rooms), squeeze=False)
     for row, (way, name) in zip(panels, WAYS.items()):
         for axes, scene in zip(row, rooms):
             spots = floor.query("env == @scene.name and way == @way")
-            each = spots.loc[spots.index.repeat(spots.n)]  # episodes count alike, seeds do not
+            each = spots.loc[spots.index.repeat(spots.n)]  # each episode has the same weight
             mesh = paint_floor(axes, scene, each[["x", "y"]].to_numpy(), each.success / 100, PATCH)
             draw_robot(axes, scene.start)
             axes.set_title(f"{scene.name}: {name}", fontsize=10)
-    figure.colorbar(mesh, ax=panels, shrink=0.7, label="episodes that arrive, all seeds [%]")
+    figure.colorbar(mesh, ax=panels, shrink=0.7, label="success rate, all seeds [%]")
     legend_below(figure, [START, *target_handles(rooms[0]), TOO_FEW], ncols=5)
     return figure
 
 
 def draw_hidden():
-    """Draws eight paths from the start to the last new target, parts of which are hidden."""
-    figure, panels = page(4.4, len(ENVS), 3)
+    """Draws eight paths to the last new target with its place, its cube or nothing hidden."""
+    figure, panels = page(4.5, len(ENVS), 3)
     for row, env in zip(panels, ENVS):
         driver, scene = pretrained(env)
-        robots = [Assignment(scene, len(scene.targets) - 1, 1)] * 8
+        last = len(scene.targets) - 1
         for axes, hidden in zip(row, ("", "place", "cube")):
-            traces = rollouts(driver, robots, hidden=hidden)
-            draw_paths(axes, scene, traces, f"{env}, {hidden or 'nothing'} hidden")
+            traces = rollouts(driver, [Assignment(scene, last, 1)] * 8, hidden=hidden)
+            arrived = sum(trace.arrived for trace in traces)
+            draw_room(axes, scene)
+            axes.set(xlabel=f"{env}, {hidden or 'nothing'} hidden: {arrived} of 8 arrive",
+                     ylabel="", xticks=[], yticks=[])
+            for trace in traces:
+                draw_path(axes, trace, alpha=0.7, lw=1.2, label=trace.outcome)
             draw_robot(axes, scene.start)
-            draw_target(axes, scene, traces[0].goal, ring=True, label="new target")
-    legend_below(figure, ncols=5)
+            draw_target(axes, scene, traces[0].goal, ring=True)
+    legend_below(figure, [START, target_handles(scene)[-1]], ncols=4)
     return figure
 
 
 def draw_fig6(env):
-    """Draws 20 paths of a policy from the start to each target."""
+    """Draws 20 paths of a policy from the start pose to each target."""
     driver, scene = pretrained(env)
     robots = [Assignment(scene, k, 1) for k in range(len(scene.targets)) for _ in range(20)]
     return draw_trajectories(scene, rollouts(driver, robots))
 
 
 def draw_rooms():
-    """Draws rooms from above, the test rooms in a frame, with the fraction of blocked ways."""
+    """Draws rooms from above, the test rooms in frames, with the fraction of blocked paths."""
     figure, panels = page(6.75, 5, 5)
+    figure.suptitle("test rooms (framed) and random rooms: fraction of straight paths blocked")
     for axes, name in zip(panels.flat, (*TEST_ROOMS, *(f"random:{k}" for k in range(20)))):
         scene = scenes.load(name)
         draw_room(axes, scene)
-        axes.set(xlabel=f"{name}, {share_blocked(scene):.0%}", ylabel="", xticks=[], yticks=[])
+        axes.set(xlabel=f"{name}: {share_blocked(scene):.0%}", ylabel="", xticks=[], yticks=[])
         axes.spines[:].set(lw=2.5 if name in TEST_ROOMS else 0, color=PALETTE["run"])
     return figure
 
 
 def draw_rooms_learnt(level3, rooms):
-    """Draws success with random starts and targets, all seeds and their mean, by training rooms."""
+    """Draws success with random starts and targets against the number of training rooms."""
     in_tests = rooms[rooms.targets == "anywhere"].groupby(["way", "seed"]).success.mean()
     runs = level3[level3.way.isin(ROOMS_LEARNT)].join(in_tests, on=["way", "seed"])
     runs["place"] = runs.way.map(list(ROOMS_LEARNT).index)
     means = runs.groupby("place").mean(numeric_only=True)
-    figure, axes = page(4.2)
+    figure, axes = page(4.4)
     for column, colour, mark, name in (
-            ("training_success", "training", "s", "the rooms that it learnt in"),
-            ("validation_success", "new", "o", "random rooms that it never saw"),
-            ("success", "run", "^", "the test rooms, which it never saw either")):
+            ("training_success", "training", "s", "training rooms"),
+            ("success", "run", "^", "test rooms"),
+            ("validation_success", "new", "o", "new random rooms")):
         axes.plot(runs.place, runs[column], mark, color=PALETTE[colour], ms=4)
         axes.plot(means[column], mark + "-", color=PALETTE[colour], ms=7, label=name)
-    axes.set(xticks=range(len(ROOMS_LEARNT)), xticklabels=ROOMS_LEARNT.values(), ylim=(30, 103),
-             xlabel="rooms learnt in", ylabel="success from anywhere\nto anywhere [%]")
+    new, known = means.validation_success.round(), means.training_success.round()
+    axes.set_title(f"1 to 16 rooms: success in new rooms rises from {new[0]:g} to {new[2]:g} %,\n"
+                   f"but success in the training rooms falls from {known[0]:g} to {known[2]:g} %")
+    axes.set(xticks=range(len(ROOMS_LEARNT)), xticklabels=ROOMS_LEARNT.values(), ylim=(0, 103),
+             xlabel="number of training rooms",
+             ylabel="success rate with random\nstart and target [%]")
     axes.grid(alpha=0.3)
-    legend_below(figure)
+    legend_below(figure, ncols=3)
     return figure
 
 
 def draw_any_room():
-    """Draws 24 paths from random starts to random targets in each of the held-out rooms."""
-    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-    robots = [Assignment(scenes.load(name), 0, 1) for name in TEST_ROOMS for _ in range(24)]
-    traces = rollouts(pretrained("any-room", "mean")[0], robots, "anywhere")
-    for axes, name in zip(figure.subplot_mosaic("001122;.3344.").values(), TEST_ROOMS):
-        here = [trace for trace in traces if trace.scene.name == name]
-        draw_paths(axes, here[0].scene, here, name)
-    legend_below(figure, ncols=4)
+    """Draws six paths from random starts to random targets in each of four test rooms."""
+    figure, panels = page(6, 2, 2)
+    driver, _ = pretrained("any-room", "mean")
+    for axes, scene in zip(panels.flat, map(scenes.load, TEST_ROOMS[1:])):
+        here = rollouts(driver, [Assignment(scene, 0, 1)] * len(SIX), "anywhere")
+        draw_room(axes, scene)
+        for trace, colour in zip(here, SIX):
+            draw_target(axes, scene, trace.goal, fc=colour)
+            axes.plot(*trace.poses[:, :2].T, color=colour, lw=2)
+            axes.plot(*trace.start[:2], "o", color=colour, ms=8)
+            if not trace.arrived:
+                axes.plot(*trace.poses[-1, :2], "X", color=colour, ms=10, mec="white")
+        arrived = sum(trace.arrived for trace in here)
+        axes.set(title=f"{scene.name}: {arrived} of {len(here)} arrive",
+                 xlabel="", ylabel="", xticks=[], yticks=[])
+    for mark, name in (("o", "start"), ("s", "target"), ("X", "failure")):
+        axes.plot([], [], mark, color=PALETTE["robot"], label=name)
+    legend_below(figure, ncols=3, title="one colour for each episode")
     return figure
 
 
 def draw_any_room_floor():
-    """Draws the success on each patch of the floor of a held-out room, one of the two hardest."""
+    """Draws the success rate for targets in each patch of the floor of one hard test room."""
     scene = scenes.load("maze0")
     robots = [Assignment(scene, 0, 10)] * 150
     traces = rollouts(pretrained("any-room", "mean")[0], robots, "anywhere")
@@ -191,14 +205,14 @@ def draw_any_room_floor():
 
 
 POSE = (0.5, -2.2, 3.3)  # in env2, from which the images are seen
-# As in a room's file, larger than in the lab.
+# Names as in a room's file, values larger than in the lab.
 SEEN = {"appearance": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75),
         "camera_yaw_degrees": 6, "camera_pitch_degrees": -6, "image_delay": 1}
 DRIVEN = {"distance_drift": 0.15, "turn_drift": 0.15, "wheel_gains": (1, 0.93)}
 
 
 def driven(scene, start, seed, commands, **errors):
-    """Returns the last image that a robot sees, its true path (T, 2), and that by its odometry."""
+    """Returns a robot's last image, its true path (T, 2) and its path by odometry (T, 2)."""
     scene = replace(scene, reality=parse_reality(errors, True))
     env = RealVecEnv(1, [scene], max_episode_steps=-1)
     env.reset(seed=seed, options={"start": start, "target": 0})
@@ -210,62 +224,64 @@ def driven(scene, start, seed, commands, **errors):
 
 
 def draw_reality():
-    """Draws each error of the lab on its own against the simulation."""
-    figure, panels = page(3.6, 2, 5)
+    """Draws each error of the lab separately: camera images, and paths of an S on a floor."""
+    figure, panels = page(4.2, 2, 5)
     turn = partial(driven, scenes.load("env2"), POSE, 1, [(0.0, 0.5)] * 3)
-    images = {f"{error}: {size}": turn(**{error: size})[0] for error, size in SEEN.items()}
-    draw_images(panels.flat, {"simulation": turn()[0]} | images)
+    images = {f"{error}\n{size}": turn(**{error: size})[0] for error, size in SEEN.items()}
+    draw_images(panels.flat, {"no error\n": turn()[0]} | images)
     floor = Scene("floor", tuple(walls(9.0, 9.0)), (-2.0, 0.0, 0.0), ((4.0, 4.0),), ())
     s_shape = [(0.8, 0.6 * np.cos(k / 4)) for k in range(30)]
     drive_s = partial(driven, floor, floor.start, 5, s_shape)
     for axes, (error, size) in zip(panels.flat[-len(DRIVEN):], DRIVEN.items()):
         _, true, by_odometry = drive_s(**{error: size})
-        axes.plot(*drive_s()[1].T, color=PALETTE["paper"], lw=3, label="simulation")
-        axes.plot(*true.T, color=PALETTE["robot"], label="true path")
-        axes.plot(*by_odometry.T, "--", color=PALETTE["collision"], label="by odometry")
-        axes.set(xlabel=f"{error}: {size}", xticks=[], yticks=[], aspect="equal")
-    legend_below(figure, ncols=3)
+        axes.plot(*drive_s()[1].T, color=PALETTE["paper"], lw=4, label="path without errors")
+        axes.plot(*true.T, color=PALETTE["robot"], lw=2, label="true path")
+        axes.plot(*by_odometry.T, "--", color=PALETTE["collision"], lw=2, label="path by odometry")
+        axes.set(xlim=(-2.3, 0.7), ylim=(-0.9, 1.35), aspect="equal", xticks=[], yticks=[])
+        axes.set_title(f"{error}\n{size}", fontsize=10)
+    legend_below(figure, ncols=3, title="panels with paths are 3 m wide")
     return figure
 
 
 def draw_appearances():
-    """Draws env2 as the simulation shows it, as the lab would, and in looks that are drawn."""
+    """Draws env2 with the textures of the simulation, of the lab, and of eight random seeds."""
     figure, panels = page(3.2, 2, 5)
     scene = [scenes.load("env2")]
-    cameras = {"simulation": Camera(scene), "the lab's": LabCamera(scene),
-               **{f"drawn, {seed}": DrawnCamera(scene, seed) for seed in range(8)}}
+    cameras = {"simulation": Camera(scene), "lab": LabCamera(scene),
+               **{f"random, seed {seed}": DrawnCamera(scene, seed) for seed in range(8)}}
     view = np.array([0]), np.array([POSE]), np.array([scene[0].targets[0]])
     draw_images(panels.flat, {name: camera.render(*view)[0] for name, camera in cameras.items()})
     return figure
 
 
-def draw_lab(lab, lab_curves):
-    """Draws what policies do in the lab against the episodes that they learnt there."""
+def draw_lab(lab):
+    """Draws the frozen policies in the lab: a row for each training, with a dot for each seed."""
     lab = lab.assign(collision=(lab.training_collision + lab.new_collision) / 2,
                      stops=(lab.training_stops + lab.new_stops) / 2)
-    figure, panels = page(4.6, 1, 3)
-    titles = "success on new targets [%]", "collisions per 100 episodes", "stops per episode"
-    for axes, column, title in zip(panels, ("new_success", "collision", "stops"), titles):
-        for way, colour, mark in (("from-scratch", "paper", "s"), ("from-env2", "training", "o"),
-                                  ("from-any-room", "run", "^"), ("random-env2", "training", "P"),
-                                  ("random-rooms", "run", "X")):
-            mean = lab_curves[lab_curves.way == way].groupby("episodes").mean(numeric_only=True)
-            if column in mean:
-                axes.plot(mean[column], color=PALETTE[colour])
-            # At 0 episodes stand the weights that the way begins with.
-            frozen = lab[lab.way.isin((way, way.removeprefix("from-")))]
-            axes.plot(frozen.allowed, frozen[column], mark, color=PALETTE[colour], label=LAB[way])
-        axes.set(xlabel="episodes in the lab", ylabel=title, ylim=(0, None))
+    rows = dict(list(lab.groupby(["allowed", "way"])))
+    figure, panels = page(5.8, 1, 3, sharey=True, width_ratios=(2, 1, 1))
+    titles = {"new_success": "success rate\non new targets [%]",
+              "collision": "collisions\nper 100 episodes", "stops": "ring stops\nper episode"}
+    for axes, (column, title) in zip(panels, titles.items()):
+        for y, ((allowed, _), runs) in enumerate(rows.items()):
+            colour = PALETTE[{0: "robot", 300: "training", 3000: "run"}[allowed]]
+            axes.plot(runs[column].mean(), y, "|", ms=20, mew=2.5, color=colour)
+            axes.plot(runs[column], [y] * len(runs), "o", ms=9, alpha=0.5, mew=0, color=colour,
+                      label=f"{allowed:,}")
+        axes.set(xlim=(0, None), title=title)
         axes.grid(alpha=0.3)
-    panels[0].plot(3000, 51, "*", ms=12, color=PALETTE["robot"], label="the paper's robot")  # IV-C
-    legend_below(figure, ncols=2, title="lines: mean while learning; marks: frozen policies")
+    panels[0].plot(51, list(rows).index((3000, "from-env2")), "*", ms=13, color=PALETTE["arrival"],
+                   label="3,000, the paper's real robot")  # IV-C
+    panels[0].set(xlim=(-2, 102), yticks=range(len(rows)), ylim=(len(rows) - 0.4, -0.6),
+                  yticklabels=[LAB[way].replace(" with", "\nwith") for _, way in rows])
+    legend_below(figure, ncols=4, title="training episodes in the lab (dot: one seed, bar: mean)")
     return figure
 
 
 def draw_lab_map():
-    """Draws the paper's Fig. 8: an episode in the lab, and the map that the robot makes of it."""
+    """Draws the paper's Fig. 8: an episode in the lab, and the map made by the robot."""
     scene = scenes.load("lab")
-    robot = LabRobot(scene, target=10, seed=3)  # the first new target; this episode arrives
+    robot = LabRobot(scene, target=10, seed=3)  # the first new target; the robot arrives
     log = drive(robot, TorchPolicy(pretrained("lab")[0].model), robot.goal)
     grid = OccupancyGrid(scene.bounds)
     for pose, readings in zip(log.poses, log.readings):
@@ -274,21 +290,22 @@ def draw_lab_map():
     axes.imshow(1 - grid.probability.T, origin="lower", cmap="gray", vmin=0, vmax=1,
                 extent=np.ravel(grid.bounds, "F"))
     for box in scene.boxes:
-        axes.fill(*box.corners.T, fill=False, ec=PALETTE["brick"], lw=1.2, label="the room")
+        axes.fill(*box.corners.T, fill=False, ec=PALETTE["brick"], lw=1.2, label="true boxes")
     for poses, style, colour, label in ((robot.true_poses, "-", "robot", "true path"),
                                         (log.poses, "--", "collision", "path by odometry")):
         axes.plot(*np.array(poses)[:, :2].T, style, color=PALETTE[colour], label=label)
     draw_target(axes, scene, robot.goal, ring=True)
     draw_robot(axes, robot.true_poses[0])
-    legend_below(figure, ncols=3)
+    axes.set(title="map by the robot (grey: unknown)", xlabel="x [m]", ylabel="y [m]")
+    legend_below(figure, [START, target_handles(scene)[-1]], ncols=5)
     return figure
 
 
 def draw_benchmark(benchmark):
-    """Draws what images and steps cost by the number of robots, and images by that of boxes."""
+    """Draws the time of images and steps against the numbers of robots and of boxes."""
     figure, (left, right) = page(3.6, 1, 2)
-    left.set(xscale="log", yscale="log", xlabel="robots R, side by side (log scale)",
-             ylabel="cost for one robot [µs] (log scale)", title="env1, one core")
+    left.set(xscale="log", yscale="log", xlabel="number of robots R (log scale)",
+             ylabel="time per robot [µs] (log scale)", title="env1, one core")
     for axes, key, name, style in (
             (left, "env_sps", "environment step", "o-"), (left, "world_sps", "world step", "^:"),
             (left, "camera_fps", "camera image", "s--"),
@@ -299,8 +316,8 @@ def draw_benchmark(benchmark):
         axes.set_xticks(counts, counts)
         axes.grid(alpha=0.3)
     left.legend(frameon=False)
-    right.set(xlim=(0, None), ylim=(0, None), xlabel="boxes in the room, four of them walls",
-              ylabel="cost of one camera image [µs]", title="R = 32, one core")
+    right.set(xlim=(0, None), ylim=(0, None), xlabel="number of boxes (four are walls)",
+              ylabel="time per camera image [µs]", title="R = 32, one core")
     return figure
 
 
@@ -318,17 +335,17 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "any-room.png": draw_any_room,
     "any-room-floor.png": draw_any_room_floor,
-    "any-room.gif": lambda: film_episode(  # this episode arrives; one in five or so does not
+    "any-room.gif": lambda: film_episode(  # an arrival; about one episode in five fails
         pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere", seed=6),
     "reality.png": draw_reality,
     "appearances.png": draw_appearances,
-    "lab.png": lambda: draw_lab(read("lab.csv"), read("lab-curves.csv")),
+    "lab.png": lambda: draw_lab(read("lab.csv")),
     "lab-map.png": draw_lab_map,
     "benchmark.png": lambda: draw_benchmark(read("benchmark.json"))}
 
 
 def main(argv=None, pictures=FIGURES, description="Draw the figures of the results."):
-    """The command line. pictures: as FIGURES."""
+    """Runs the command line. pictures: a dict like FIGURES."""
     only = option("", "draw only this picture", choices=["", *pictures])
     options, _ = parse({"only": only}, description, argv)
     for name in [options.only] if options.only else pictures:

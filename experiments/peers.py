@@ -1,6 +1,6 @@
-"""Other people's learners with this environment and network's sizes: RecurrentPPO of
-Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`), and a loop in the
-style of CleanRL's. Both learn from every step. Axis letters: R robots, T steps of an update."""
+"""Learners of other projects with this environment and a network of the same size: RecurrentPPO of
+Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`) and a loop in the
+style of CleanRL. Both learn from every step. Axis letters: R robots, T steps of an update."""
 
 from collections import namedtuple
 
@@ -17,15 +17,15 @@ try:
     from sb3_contrib import RecurrentPPO
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError:  # without them there is only the CleanRL-style loop
+except ImportError:  # without them, only the CleanRL-style loop is available
     RecurrentPPO = None
     BaseFeaturesExtractor = object
     VecEnv = object
 
 Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate")
-# 32 steps of each of our robots are about what the episodes of an update have.
+# 32 steps per robot are about as many as the episodes of one of our updates have.
 OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches, Config.learning_rate)
-TASK = (["env1"], "training", Config.random_starts)  # of NavVecEnv: it is learned from every step
+TASK = (["env1"], "training", Config.random_starts)  # for NavVecEnv, without new targets
 
 
 class StableBaselinesEnv(VecEnv):
@@ -60,17 +60,15 @@ class StableBaselinesEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class, indices=None):
         return [False] * self.num_envs
 
-    set_attr = None  # a training does without these three
-    env_method = None
-    close = None
+    set_attr = env_method = close = None  # training does not use them
 
 
 class Features(BaseFeaturesExtractor):
-    """Our CNN and the other inputs, as Stable-Baselines3 asks for them."""
+    """Our CNN and the other inputs as a feature extractor of Stable-Baselines3."""
 
     def __init__(self, space):
         super().__init__(space, FEATURES + TARGET + LAST)
-        self.cnn = make_cnn().to(memory_format=torch.contiguous_format)  # for its own first weights
+        self.cnn = make_cnn().to(memory_format=torch.contiguous_format)  # for its first weights
 
     def forward(self, seen):
         images = (seen["image"] - IMAGE_MEAN) / IMAGE_SCALE  # channels first
@@ -123,7 +121,7 @@ class CleanRLStyle:
 
     @torch.no_grad()
     def collect(self):
-        """Returns T steps, name -> (T, R, ...). The time limit counts as an end, as in CleanRL."""
+        """Returns T steps, name -> (T, R, ...). The time limit terminates, as in CleanRL."""
         history = []
         for _ in range(self.settings.steps):
             distribution, values, self.memory = self.forward(self.seen, self.memory)
@@ -136,14 +134,14 @@ class CleanRLStyle:
             self.seen = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
         steps = {key: torch.cat([step[key] for step in history]) for key in history[0]}
         values = torch.cat([steps["value"], self.forward(self.seen, self.memory)[1]])
-        goes_on = 1 - torch.cat([steps["start"], self.seen["start"]])[1:]
-        A = steps["reward"] + Config.gamma * values[1:] * goes_on - values[:-1]
+        continues = 1 - torch.cat([steps["start"], self.seen["start"]])[1:]
+        A = steps["reward"] + Config.gamma * values[1:] * continues - values[:-1]
         for t in reversed(range(len(A) - 1)):
-            A[t] += Config.gamma * Config.lam * goes_on[t] * A[t + 1]
+            A[t] += Config.gamma * Config.lam * continues[t] * A[t + 1]
         return steps | {"advantage": A}
 
     def learn(self, total):
-        """Learns from that many steps. A minibatch is of robots. The learning rate shrinks to 0."""
+        """Learns from this many steps. A minibatch is some robots. The learning rate falls to 0."""
         settings = self.settings
         updates = total // (settings.robots * settings.steps)
         for k in range(updates):
@@ -160,15 +158,15 @@ class CleanRLStyle:
                     A = (A - A.mean()) / (A.std() + 1e-8)
                     objective = torch.min(r * A, r.clamp(1 - Config.clip, 1 + Config.clip) * A)
                     entropy = distribution.entropy().sum(-1).mean()
-                    self.optimizer.zero_grad()  # and 0.01 is CleanRL's weight
+                    self.optimizer.zero_grad()  # 0.01: entropy weight of CleanRL
                     (VALUE_WEIGHT * value_loss - objective.mean() - 0.01 * entropy).backward()
                     torch.nn.utils.clip_grad_norm_(self.net.parameters(), MAX_GRADIENT_NORM)
                     self.optimizer.step()
 
 
-# name -> what makes the learner, and its settings; a learner has a method learn(steps)
+# name -> function or class that makes a learner, its Settings; learner.learn(steps) trains
 PEERS = {"CleanRL-style, as it comes": (CleanRLStyle, Settings(8, 128, 4, 4, 2.5e-4)),
          "CleanRL-style, our work": (CleanRLStyle, OUR_WORK)}
-if RecurrentPPO is not None:  # by default it has minibatches of 128 steps
+if RecurrentPPO is not None:  # its default minibatches have 128 steps
     PEERS = {"RecurrentPPO, as it comes": (recurrent_ppo, Settings(8, 128, 10, 8, 3e-4)),
              "RecurrentPPO, our work": (recurrent_ppo, OUR_WORK)} | PEERS

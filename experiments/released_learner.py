@@ -1,6 +1,5 @@
-"""Why does training from one start pose never reach env1's new target here, unlike in the released
-record? Each variant changes our learner towards the released one (docs/paper.md). `python -m
-experiments.released_learner` trains what results/released_learner.csv lacks."""
+"""Variants of our learner with parts of the released one. Which variants reach env1's new target from
+one start pose (docs/paper.md)? `python -m experiments.released_learner` trains all of them."""
 
 from contextlib import ExitStack
 from dataclasses import replace
@@ -24,13 +23,13 @@ from support.runs import read_table, write
 from train import WINDOW, Config, Training
 
 RESULT = RESULTS / "released_learner.csv"
-STEPS = 270_000  # about as many as the released record of env1 has
+STEPS = 270_000  # about as many as in the released record of env1
 SEEDS = (0, 1, 2)
-CLIP = 1.2  # of the released update: the largest ratio, and the inverse of the smallest
+CLIP = 1.2  # largest ratio in the released update; the smallest is its inverse
 
 CHANGES = ("unwrapped-bearing", "no-annealing", "no-baseline", "one-step-gradients", "beta")
 VARIANTS = {"baseline": (), **{change: (change,) for change in CHANGES}, "all": CHANGES,
-            "released": (*CHANGES, "one-robot")}  # with the released settings of an update
+            "released": (*CHANGES, "one-robot")}  # with the settings of the released update
 
 
 class UnwrappedBearing(NavVecEnv):
@@ -53,19 +52,19 @@ class StoringCollector(Collector):
         return super().step()
 
     def _take_episode(self, r, last_value):
-        self._observations["memory"] = None  # an episode keeps what is named here
+        self._observations["memory"] = None  # only arrays named here are kept in an episode
         return super()._take_episode(r, last_value)
 
 
 class OneStepGradients(Network):
-    """In an update, makes each step a separate sequence, which begins with its stored memory."""
+    """In an update, makes each step a separate sequence that begins with its stored memory."""
 
     def forward(self, observations, state, mask=None):
         state = state if mask is None else observations["memory"]
         return super().forward(observations, state, mask)
 
     def remember(self, features, target, last, state):
-        if state.dim() == 4:  # of robots that drive, not (M, T, layers, 2, HIDDEN)
+        if state.dim() == 4:  # driving robots, not (M, T, layers, 2, HIDDEN)
             return super().remember(features, target, last, state)
         steps = [x.flatten(0, 1)[:, None] for x in (features, target, last)]  # (M T, 1, ...)
         x, after = super().remember(*steps, state.flatten(0, 1))
@@ -83,7 +82,7 @@ class BoundedBeta:
         self.mean = self.low + self.width * self.unit.mean
 
     def sample(self, generator):
-        # Of two gamma-distributed numbers, each is a beta-distributed share of their sum.
+        # If x and y are gamma-distributed, x / (x + y) is beta-distributed.
         one = torch._standard_gamma(self.unit.concentration1, generator=generator)
         other = torch._standard_gamma(self.unit.concentration0, generator=generator)
         return self.low + self.width * one / (one + other)
@@ -102,7 +101,7 @@ class BetaPolicy(Network):
     def __init__(self):
         super().__init__()
         self.action_head = orthogonal(torch.nn.Linear(HIDDEN, 4), 0.01)
-        del self.log_std  # is not learned here
+        del self.log_std  # not a parameter here
         self.register_buffer("log_std", torch.zeros(2))
 
     def policy(self, x):
@@ -118,7 +117,7 @@ class BetaPolicy(Network):
 
 
 def update_as_released(model, optimizer, episodes, config, rng, total):
-    """Makes one update as the released learner does. The arguments are those of `ppo.update`."""
+    """Makes one update like the released learner. Arguments: those of `ppo.update`."""
     returns = torch.tensor(np.concatenate(
         [ppo.advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam)
          for e in episodes]))
@@ -127,7 +126,7 @@ def update_as_released(model, optimizer, episodes, config, rng, total):
             for key in episodes[0].observations}
     with torch.no_grad():
         before = log_probs_of(model, seen, actions)
-    for _ in range(50):  # steps of Adam, each on a random tenth of the steps
+    for _ in range(50):  # Adam steps, each on a random tenth of the data
         chosen = rng.choice(len(returns), max(len(returns) // 10, 1), replace=False)
         some = {key: value[chosen] for key, value in seen.items()}
         r = (log_probs_of(model, some, actions[chosen]) - before[chosen]).exp()
@@ -139,22 +138,22 @@ def update_as_released(model, optimizer, episodes, config, rng, total):
 
 
 def log_probs_of(model, seen, actions):
-    """Returns the log-probabilities (B, 2) of actions (B, 2), each step with its stored memory."""
+    """Returns the log-probabilities (B, 2) of actions (B, 2). Each step has its stored memory."""
     steps = {key: value[:, None] for key, value in seen.items()}
     return model(steps, seen["memory"])[0].log_prob(actions[:, None])[:, 0]
 
 
 def released_loss(r, A):
-    """Returns the clipped loss of ratios (B, 2), one for each action, and advantages (B, 1)."""
+    """Returns the clipped loss for ratios (B, 2), one per action, and advantages (B, 1)."""
     return -torch.min(r * A, r.clamp(1 / CLIP, CLIP) * A).mean()
 
 
 class VariedTraining(Training):
-    """A Training with some changes, values of VARIANTS."""
+    """A Training with a tuple of changes from CHANGES."""
 
     def __init__(self, changes, config, scenes):
         self.changes = changes
-        self.rates = []  # success on the new target in each window of 100 episodes, and its steps
+        self.rates = []  # (success on the new target in the last WINDOW episodes, steps)
         super().__init__(config, scenes)
         if "unwrapped-bearing" in changes:
             self.environment = UnwrappedBearing
@@ -170,7 +169,7 @@ class VariedTraining(Training):
         collector = StoringCollector if "one-step-gradients" in self.changes else Collector
         with patch.object(train, "Collector", collector):
             super().begin_stage()
-        self.next_stage = np.inf  # stages of one robot would be 781 steps long
+        self.next_stage = np.inf  # with one robot a stage would have 781 steps
 
     def record(self, row):
         super().record(row)
@@ -179,21 +178,21 @@ class VariedTraining(Training):
 
     def learn(self, episodes):
         with ExitStack() as changed:
-            if "no-baseline" in self.changes:  # no value or GAE, and nothing is normalised
+            if "no-baseline" in self.changes:  # no value, no GAE, no normalization
                 episodes = [replace(episode, values=np.zeros_like(episode.values), last_value=0.0)
                             for episode in episodes]
                 changed.enter_context(patch.multiple(ppo, VALUE_WEIGHT=0.0,
                                                      mean_and_std=lambda *numbers: (0.0, 1.0)))
             if "one-robot" in self.changes:
                 changed.enter_context(patch.object(train, "update", update_as_released))
-            if "no-annealing" in self.changes:  # of learning rate and standard deviation
+            if "no-annealing" in self.changes:  # learning rate and standard deviation stay
                 changed.enter_context(patch.object(self, "progress", lambda: 0.0))
             return super().learn(episodes)
 
 
 def make_training(name, seed):
-    """Returns the VariedTraining of a variant: one start pose, one room, all the steps."""
-    # Otherwise the settings that our learner had when results/released_learner.csv was made.
+    """Returns the VariedTraining of a variant: one start pose, one room, a fixed budget."""
+    # The other settings are those of our learner when results/released_learner.csv was made.
     config = Config(seed=seed, steps=STEPS, fixed_budget=True, random_starts=0.0, mirrored=0.0,
                     robots=32, episodes_per_update=32, learning_rate=6e-4,
                     lam=1.0 if "no-baseline" in VARIANTS[name] else Config.lam)
@@ -217,8 +216,8 @@ def learn(name, seed):
 
 
 def main(argv=None):
-    """Trains the runs that RESULT lacks, and adds a row for each."""
-    parse({}, "Train the runs that the table lacks, two at once.", argv)
+    """Trains the runs that RESULT does not have, and adds a row for each."""
+    parse({}, "Train the runs that the table does not have, two at a time.", argv)
     torch.set_num_threads(1)
     rows = read_table(RESULT) if RESULT.exists() else []
     made = {(row["variant"], int(row["seed"])) for row in rows}

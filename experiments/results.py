@@ -1,5 +1,5 @@
-"""Makes all that the tables and figures show: `python -m experiments.results` trains and evaluates
-each run of `experiments.runs`. After an interruption, the same command continues."""
+"""Makes every published result: `python -m experiments.results` trains and evaluates each run of
+`experiments.runs`, then makes tables and figures. If interrupted, the same command resumes."""
 
 import itertools
 import shutil
@@ -24,21 +24,21 @@ from support.runs import RunError, write
 from support.weights import FILE, load_model
 
 OPTIONS = {
-    "level": option("", "only this level of the paper, or the lab; by default all of them",
+    "level": option("", "only this level of the paper, or the lab (default: all)",
                     choices=("1", "2", "3", "lab")),
-    "ablations": option(False, "with level 2 also make its ablations, seeds 0 to 2"),
-    "planners": option(False, "only evaluate the planners, train nothing at any level"),
-    "jobs": option(2, "runs at a time, each on one core", 1, 64)}
+    "ablations": option(False, "also make the ablations of level 2, seeds 0 to 2"),
+    "planners": option(False, "only evaluate the planners, without any training"),
+    "jobs": option(2, "number of runs at a time, each on one core", 1, 64)}
 
 
 def words(options):
-    """Returns options, field -> value, as words of a command line."""
+    """Returns options (field -> value) as the words of a command line."""
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in options.items()]
-    return [word for pair in pairs for word in pair if word != "True"]  # a flag has no value
+    return [word for pair in pairs for word in pair if word != "True"]  # flags have no value
 
 
 def commands(run):
-    """Returns the commands that make what a run lacks, each a list of words."""
+    """Returns the commands that make the missing files of a run, each a list of words."""
     in_lab = run.stage == "lab"
     training, evaluation = ("robot.train", "robot.evaluate") if in_lab else ("train", "evaluation")
     missing = []
@@ -54,7 +54,7 @@ def commands(run):
 
 
 def make_run(run):
-    """Makes what a run lacks. Yields each process, goes on when it has ended. Raises RunError."""
+    """Makes the missing files of a run. Yields each process until it ends. Raises RunError."""
     log = run.folder.with_suffix(".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     if run.weights:
@@ -70,9 +70,9 @@ def make_run(run):
 
 
 def make_runs(wanted, jobs):
-    """Makes these runs, several at a time. Raises RunError."""
+    """Makes these runs, at most `jobs` at a time. Raises RunError."""
     waiting = [make_run(run) for run in wanted]
-    under_way = {}  # process -> the run that it is for, as `make_run` makes it
+    under_way = {}  # process -> generator of its run
     try:
         while waiting or under_way:
             for process in [process for process in under_way if process.poll() is not None]:
@@ -90,7 +90,7 @@ def make_runs(wanted, jobs):
 
 
 def record(run):
-    """Writes the rows of a run into its tables, and its weights into pretrained/ if they belong."""
+    """Writes the rows of a run into its tables, and its weights into pretrained/ if published."""
     for name, (members, rows_of) in runs.TABLES.items():
         if run in members:
             rows = pd.DataFrame(rows_of(run)).astype(str)
@@ -106,7 +106,7 @@ def record(run):
 
 
 def write_planners():
-    """Makes planners.csv, one episode to each target and 50 anywhere, and level3-planners.csv."""
+    """Makes planners.csv and level3-planners.csv: one episode to each target, 50 random targets."""
     rooms = {name: [scenes.load(name)] for name in runs.TEST_ROOMS}
     rooms["validation"] = validation_scenes()
     rows = {"planners.csv": [], "level3-planners.csv": []}
@@ -124,7 +124,7 @@ def write_planners():
 
 
 def write_lab_errors():
-    """Makes lab-errors.csv: what each error of the lab costs the policies of the simulation."""
+    """Makes lab-errors.csv: success of the simulation's policies with each error of the lab."""
     lab = scenes.load("lab")
     realities = {"none": Reality()}
     realities |= {name: Reality(**{name: value}) for name, value in vars(lab.reality).items()
@@ -141,10 +141,10 @@ def write_lab_errors():
 
 
 def main(argv=None):
-    """The command line."""
+    """Runs the command line."""
     options, parser = parse(OPTIONS, "Make every table and figure of the results.", argv)
     ablations = runs.LEVEL_2_ABLATIONS if options.ablations else []
-    # In this order: the runs in the lab begin with weights of levels 2 and 3.
+    # In this order, because runs in the lab start from weights of levels 2 and 3.
     stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}
     chosen = [level for level in stages if options.level in ("", level) and not options.planners]
     try:

@@ -1,4 +1,4 @@
-"""The runs that `experiments.results` makes, and the rows that each adds to tables in results/."""
+"""The runs of `experiments.results`, and the rows that each run adds to tables in results/."""
 
 import itertools
 import json
@@ -13,19 +13,19 @@ from support.rooms import RANDOM
 RUNS = ROOT / "runs" / "results"
 RATES = ("n", "success", "low", "high", "collision", "timeout", "spl")  # columns of most tables
 LAB_RATES = (*RATES[:-1], "standing", "stops", "spl")
-PAPER_ROOMS = {"env1": 250_000, "env2": 400_000}  # -> steps of a training at level 2
-TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # of level 3, never trained or tuned on
-WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # at level 2 -> options
-HIDDEN = ("place", "cube", "both")  # from a policy
-ABLATIONS = {  # -> options
+PAPER_ROOMS = {"env1": 250_000, "env2": 400_000}  # room -> training steps at level 2
+TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # never used for training
+WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # level 2
+HIDDEN = ("place", "cube", "both")  # parts of the observation
+ABLATIONS = {  # way -> options
     "single": {"memory": "single"}, "none": {"memory": "none"}, "blind": {"without": "image"},
     "no-target": {"without": "target"}, "no-last": {"without": "last"}}
 WEIGHTS = {name: f"pretrained/{name}.safetensors" for name in ("env2", "any-room")}  # for the lab
 STARTS = {f"from-{name}": {"init": file} for name, file in WEIGHTS.items()} | {"from-scratch": {}}
-# One room without a mirror image. Its episodes are expensive: an update learns much from few.
+# One room, never mirrored. Episodes are expensive, so each update makes many steps from a few.
 IN_THE_LAB = {"env": "lab", "mirrored": 0.0, "robots": 8, "episodes_per_update": 8,
               "minibatches": 2, "epochs": 8}
-SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: the training's own), kind of targets
+SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: by the training), kind of targets
     "level1": {"start": (0, "training"), "perturbed": (1, "training")},
     "level2": {"training": (0, "training"), "new": (0, "new"), "anywhere": (1, "anywhere")},
     "level3": {"training": (0, "training"), "validation": (0, "new")},
@@ -34,45 +34,45 @@ SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: the training's own
 
 @dataclass(frozen=True)
 class Run:
-    """A training run and its evaluations. Its files lie in runs/results/."""
+    """A training run and its evaluations. Its files are in runs/results/."""
     stage: str  # level1, level2, level3 or lab
-    names: dict  # the columns that each of its rows begins with; the last one is the seed
-    options: dict  # of the training: field of its Config -> value
-    evaluations: dict  # NAME of its file evaluation-NAME.json -> options
-    weights: str = ""  # a file: these weights are evaluated, and nothing is trained
+    names: dict  # first columns of each of its rows; the last one is the seed
+    options: dict  # field of the training's Config -> value
+    evaluations: dict  # NAME in evaluation-NAME.json -> options
+    weights: str = ""  # a file to evaluate without any training
 
     @property
     def folder(self):
-        """The folder of the run."""
+        """Folder of the run."""
         *names, seed = map(str, self.names.values())
         return RUNS / f"{self.stage}-{'-'.join(names)}-seed{seed}"
 
     @property
     def training(self):
-        """All options of the training."""
+        """Options of the training, with those that all runs share."""
         return self.options | {"seed": self.names["seed"], "fixed_budget": True, "workers": 1}
 
     def read(self, file):
-        """Returns the content of a JSON file or the rows of a CSV file, a DataFrame."""
+        """Returns the content of a JSON file, or the rows of a CSV file as a DataFrame."""
         path = self.folder / file
         return pd.read_csv(path) if path.suffix == ".csv" else json.loads(path.read_text())
 
 
 def in_rooms(rooms, protocol, episodes):
-    """Returns an evaluation in each of the rooms: name -> options."""
+    """Returns an evaluation for each of the rooms: name -> options."""
     return {f"{room}-{protocol}": {"env": room, "protocol": protocol, "episodes": episodes}
             for room in rooms}
 
 
 def level_2_runs(ways, seeds):
-    """New targets in the room of training. ways: name -> options."""
+    """Returns the runs with new targets in the training room. ways: name -> options."""
     runs = []
     for (way, options), seed, env in itertools.product(ways.items(), seeds, PAPER_ROOMS):
         wanted = {"anywhere": {"protocol": "anywhere", "episodes": 500}}
         if way in WAYS:
             wanted |= {f"hidden-{name}": {"hide": name, "episodes": 200} for name in HIDDEN}
             wanted["validation"] = {"protocol": "validation", "episodes": 300}
-        if way == "varied":  # in rooms that it never saw
+        if way == "varied":  # also in rooms without training
             twin = "env2" if env == "env1" else "env1"
             wanted[twin] = {"env": twin, "protocol": "start", "episodes": 200}
             wanted |= in_rooms([room for room in TEST_ROOMS if room != env], "anywhere", 200)
@@ -82,53 +82,53 @@ def level_2_runs(ways, seeds):
 
 
 def level_3_runs():
-    """Any target in any room, the long runs first."""
+    """Returns the runs with random targets in random rooms, the long runs first."""
     ways = {"any-room": {"steps": 8_000_000}}
-    counts = (1, 4, 16, 64, 256, 0)  # random rooms to learn in; 0: always new ones
+    counts = (1, 4, 16, 64, 256, 0)  # numbers of training rooms; 0: always new ones
     ways |= {f"rooms-{count}": {"rooms": count} for count in counts} | ABLATIONS
-    exams = dict.fromkeys(ways, in_rooms(TEST_ROOMS, "anywhere", 100))
-    exams["any-room"] = in_rooms(TEST_ROOMS, "anywhere", 300) | in_rooms(PAPER_ROOMS, "start", 300)
+    tests = dict.fromkeys(ways, in_rooms(TEST_ROOMS, "anywhere", 100))
+    tests["any-room"] = in_rooms(TEST_ROOMS, "anywhere", 300) | in_rooms(PAPER_ROOMS, "start", 300)
     same = {"env": RANDOM, "targets": "anywhere", "steps": 500_000}
-    return [Run("level3", {"way": way, "seed": seed}, same | options, exams[way])
+    return [Run("level3", {"way": way, "seed": seed}, same | options, tests[way])
             for way, options in ways.items() for seed in range(3)]
 
 
 def lab_runs():
-    """The stand-in for the paper's real room (IV-C): before and after learning in it."""
+    """Returns the runs in the lab, the simulated real room (paper IV-C)."""
     ways = [(way, 0, {}, file) for way, file in WEIGHTS.items()]
-    drawn = {"env": "env2", "reality": "random", "steps": 600_000}  # never in the lab
+    drawn = {"env": "env2", "reality": "random", "steps": 600_000}  # not in the lab
     rooms = {"env": RANDOM, "targets": "anywhere", "init": WEIGHTS["any-room"]}
     ways += [("random-env2", 0, drawn, ""), ("random-rooms", 0, drawn | rooms, "")]
-    # No episode has more than 200 steps, so it is the episodes that count: 3,000 in the paper.
+    # An episode has at most 200 steps, so `episodes` is the limit: 3,000 in the paper.
     ways += [(way, n, IN_THE_LAB | options | {"episodes": n, "steps": 200 * n}, "")
              for n in (3000, 300) for way, options in STARTS.items()]
-    exam = {"env": "lab", "ring": True, "episodes": 300}
+    common = {"env": "lab", "ring": True, "episodes": 300}
     runs = []
     for way, allowed, options, file in ways:
-        # A file's name contains `start` only if the run's own protocol is another one.
+        # The name contains `start` only if that is not the default protocol of the run.
         start = "lab-start-ring" if "targets" in options else "lab-ring"
-        wanted = {start: exam | {"protocol": "start"},
-                  "lab-anywhere-ring": exam | {"protocol": "anywhere"}}
-        options = options | {"ring": True, "evaluation_episodes": 100}  # few, since others follow
+        wanted = {start: common | {"protocol": "start"},
+                  "lab-anywhere-ring": common | {"protocol": "anywhere"}}
+        options = options | {"ring": True, "evaluation_episodes": 100}  # others follow
         runs += [Run("lab", {"way": way, "allowed": allowed, "seed": seed}, options, wanted, file)
                  for seed in range(1 if file else 3)]
     return runs
 
 
 def rates(result, keys=RATES, prefix=""):
-    """Returns those values of an evaluation as columns whose names begin with the prefix."""
+    """Returns values of an evaluation as columns. Their names begin with the prefix."""
     return {prefix + key: round(result[key], 4) for key in keys}
 
 
 def summary_rows(run):
-    """Returns a run's row of its stage's table: how long it trained, and how it does."""
+    """Returns a run's row in the table of its stage: training time and success rates."""
     summary = {} if run.weights else run.read("summary.json")
     row = run.names | {key: summary.get(key, 0) for key in ("steps", "episodes", "seconds")}
     if run.stage == "level1":
         episodes = run.read("episodes.csv")
         arrived = (episodes.outcome == "arrival").rolling(100).sum()
-        row["steps_to_stop"] = next(iter(episodes.steps[arrived >= 81]), "")  # released records: 81
-    if run.stage == "lab":  # what its episodes would take one robot there
+        row["steps_to_stop"] = next(iter(episodes.steps[arrived >= 81]), "")  # as released
+    if run.stage == "lab":  # driving time of a single robot
         row["hours"] = round(row["steps"] * CONTROL_PERIOD / 3600, 2) if row["allowed"] else 0.0
     keys = {"level2": RATES[1:], "lab": LAB_RATES}.get(run.stage, RATES)
     files = ["evaluation.json", *(f"evaluation-{name}.json" for name in run.evaluations)]
@@ -141,7 +141,7 @@ def summary_rows(run):
 
 
 def hidden_rows(run):
-    """Returns a run's rows of hidden.csv, one for each thing that is hidden from the policy."""
+    """Returns a run's rows of hidden.csv, one for each value of `--hide`."""
     results = [(name, run.read(f"evaluation-hidden-{name}.json")) for name in HIDDEN]
     return [run.names | {"hidden": name} | rates(result["training"], RATES[:-1], "training_")
             | rates(result["new"], RATES[:-1], "new_") for name, result in results]
@@ -155,7 +155,7 @@ def floor_rows(run):
 
 
 def room_rows(run):
-    """Returns a run's rows of carry-over.csv or rooms.csv: kinds of targets in other rooms."""
+    """Returns a run's rows of carry-over.csv or rooms.csv: each kind of targets in each room."""
     results = [(options["env"], run.read(f"evaluation-{name}.json"))
                for name, options in run.evaluations.items() if "env" in options]
     return [run.names | {"room": room, "targets": kind} | rates(result[kind])
@@ -164,7 +164,7 @@ def room_rows(run):
 
 
 def curve_rows(run):
-    """Returns a run's rows of curves.csv, means over 100 episodes to targets of a kind."""
+    """Returns a run's rows of curves.csv: means over 100 episodes to targets of one kind."""
     rows = []
     for kind, episodes in run.read("episodes.csv").groupby("kind"):
         for n in range(100, len(episodes) + 1, 50):
@@ -176,7 +176,7 @@ def curve_rows(run):
 
 
 def lab_curve_rows(run):
-    """Returns a run's rows of lab-curves.csv, means over 300 episodes, some 50 to new targets."""
+    """Returns a run's rows of lab-curves.csv: means over 300 episodes, about 50 to new targets."""
     episodes = run.read("episodes.csv")
     rows = []
     for n in range(300, len(episodes) + 1, 50):
@@ -188,7 +188,7 @@ def lab_curve_rows(run):
     return rows
 
 
-LEVEL_1 = [  # one target, from near the start pose to near the target
+LEVEL_1 = [  # one target; start pose and target are perturbed
     Run("level1", {"env": env, "seed": seed}, {"env": env, "targets": "memorize", "steps": 250_000},
         {"perturbed": {"protocol": "perturbed", "episodes": 500}})
     for env in ("env1", "maze0") for seed in range(5)]
@@ -196,7 +196,7 @@ LEVEL_2 = level_2_runs(WAYS, range(5))
 LEVEL_2_ABLATIONS = level_2_runs(ABLATIONS | {"one-room": {"mirrored": 0.0}}, range(3))
 LEVEL_3 = level_3_runs()
 LAB = lab_runs()
-TABLES = {  # file in results/: the runs that it is about, and what makes a run's rows
+TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
     "level1.csv": (LEVEL_1, summary_rows),
     "seeds.csv": (LEVEL_2, summary_rows), "hidden.csv": (LEVEL_2, hidden_rows),
     "floor.csv": (LEVEL_2, floor_rows), "curves.csv": (LEVEL_2, curve_rows),
@@ -205,6 +205,6 @@ TABLES = {  # file in results/: the runs that it is about, and what makes a run'
     "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
     "lab.csv": (LAB, summary_rows),
     "lab-curves.csv": ([run for run in LAB if run.names["allowed"] == 3000], lab_curve_rows)}
-PRETRAINED = {  # name: the run whose weights it has, seed 0 whichever seed is the best
+PRETRAINED = {  # name -> run with its weights, always seed 0, not the best seed
     "env1": "level2-env1-varied-seed0", "env2": "level2-env2-varied-seed0",
     "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0"}

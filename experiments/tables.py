@@ -1,5 +1,5 @@
-"""The tables of the documentation: `python -m experiments.tables` makes them from `results/`. Lines
-between `<!-- table: NAME -->` with a header, and `<!-- end -->`, become those of TABLES[NAME]."""
+"""The tables of the pages: `python -m experiments.tables` makes them from `results/`. It writes the
+rows of TABLES[NAME] between `<!-- table: NAME -->` with a header and `<!-- end -->`."""
 
 import json
 import re
@@ -17,7 +17,7 @@ RESULTS = ROOT / "results"
 MARKED = re.compile(r"(<!-- table: (.*) -->\n(?:\|.*\n){2})(?:\|.*\n)*(<!-- end -->)")
 
 ROOMS_LEARNT = {f"rooms-{count}": str(count) for count in (1, 4, 16, 64, 256)}
-ROOMS_LEARNT["rooms-0"] = "600 new ones"  # each of 60 robots moves 10 times in 500,000 steps
+ROOMS_LEARNT["rooms-0"] = "always new (600)"  # 60 robots get a new room 10 times in 500,000 steps
 LAB = {"env2": "env2 policy, unchanged", "any-room": "any-room policy, unchanged",
        "random-env2": "trained in env2 with random errors",
        "random-rooms": "any-room policy, trained further with random errors",
@@ -27,7 +27,7 @@ LAB = {"env2": "env2 policy, unchanged", "any-room": "any-room policy, unchanged
 # Tables with a row for each group of runs: (files, query, columns that group, columns to show).
 RANDOM_TARGETS = "targets not in ['training', 'new']"  # level3.csv has no such column
 PARTS = "way in ['rooms-0', 'single', 'none', 'blind', 'no-target', 'no-last']"
-GROUPS = {  # a cell has the number of each seed
+GROUPS = {  # a cell has the values of all seeds
     "level1-short": ("level1.csv", "", "env", "perturbed_success perturbed_spl"),
     "level2-short": ("seeds.csv", "way == 'varied'", "env",
                      "new_success new_spl anywhere_success anywhere_spl"),
@@ -46,14 +46,14 @@ MEANS = {  # a cell has the mean of the seeds and the worst one
 
 
 def read(name):
-    """Returns a file of results/: a dict, or a DataFrame with `rates`."""
+    """Returns the content of a file in results/: a dict, or a DataFrame with `rates`."""
     path = RESULTS / name
     is_json = path.suffix == ".json"
     return json.loads(path.read_text()) if is_json else rates(pd.read_csv(path, comment="#"))
 
 
 def rates(rows):
-    """Makes rates percentages, and adds their 95 % intervals: `new` of `new_success`, or `rate`."""
+    """Converts rates to percent. Adds their 95 % intervals: `new` for `new_success`, or `rate`."""
     columns = rows.filter(regex="(success|low|high|collision|frozen_new|frozen_training)$").columns
     rows[columns] *= 100
     for low in rows.filter(regex="low$"):
@@ -63,9 +63,9 @@ def rates(rows):
 
 
 def text(value):
-    """Returns a cell: a number has three digits, or all before its point; a missing one is '-'."""
+    """Returns a cell. A number has three digits, or all digits of its integer part; nan is '-'."""
     if isinstance(value, str):
-        return value.replace("_", " ")  # of the name of a column or a key
+        return value.replace("_", " ")  # for names of columns and keys
     if isinstance(value, list):
         return " / ".join(map(text, value))
     if pd.isna(value):
@@ -74,23 +74,23 @@ def text(value):
 
 
 def each(values):
-    """Writes the numbers of the seeds in their order, and their mean in bold."""
+    """Returns a cell with the values of the seeds in order, and their mean in bold."""
     mean = f": **{text(values.mean())}**" if len(values) > 1 else ""
     return ", ".join(map(text, values)) + mean
 
 
 def mean_and_worst(values):
-    """Writes the mean and, in brackets, the worst of percentages."""
+    """Returns a cell with the mean percentage of the seeds and the worst in brackets."""
     return f"{values.mean():.1f} % ({values.min():.1f} %)"
 
 
 def mean_and_least(values):
-    """Writes the mean of the seeds and, in brackets, the least of them if there are several."""
+    """Returns a cell with the mean of the seeds and, if there are several, the lowest one."""
     return text(values.mean()) + (f" ({text(values.min())})" if len(values) > 1 else "")
 
 
 def grouped(rows, groups, columns, cell=each):
-    """Returns a DataFrame of texts, a row for each group: `cell` of its seeds' means."""
+    """Returns a DataFrame of cells with a row for each group: `cell` of the means of its seeds."""
     groups = groups.split()  # the last one keeps its order
     rows = rows.sort_values([*groups[:-1], "seed"], kind="stable")
     seeds = rows.groupby([*groups, "seed"], sort=False, dropna=False)[columns.split()].mean()
@@ -104,7 +104,7 @@ def group_rows(files, query, groups, columns, cell=each):
 
 
 def summary():
-    """Level 2, and how the policies that learnt in random rooms do in the same test."""
+    """Returns level 2, and the any-room policies in the same test."""
     rooms = read("rooms.csv").query("way == 'any-room' and room in ['env1', 'env2']")
     rooms = rooms.rename(columns={"room": "env"}).pivot(
         index=["env", "way", "seed"], columns="targets", values="success").add_suffix("_success")
@@ -113,20 +113,20 @@ def summary():
 
 
 def hidden():
-    """Success on new targets with a column for each part of the observation that is hidden."""
+    """Returns success on new targets, with a column for each hidden part of the observation."""
     rows = pd.concat([read("seeds.csv"), read("hidden.csv")]).fillna({"hidden": "nothing"})
     return grouped(rows, "env way hidden", "new_success", mean_and_least).new_success.unstack()
 
 
 def carry_over():
-    """Success in rooms that a policy never saw, with a row for each kind of room it learned in."""
+    """Returns success in unseen rooms, with a row for each training room."""
     random = read("rooms.csv").query("way == 'any-room'").assign(env="random rooms")
     rows = pd.concat([read("carry-over.csv"), random]).query(RANDOM_TARGETS)
     return grouped(rows, "env room", "success", mean_and_least).success.unstack().sort_index(axis=1)
 
 
 def level3_rooms():
-    """Level 3 with each seed: the test rooms, and the random rooms for validation."""
+    """Returns level 3 with each seed: the test rooms, and the random rooms for validation."""
     runs = read("level3.csv").rename(columns={"validation": "rate"})
     runs = runs.assign(room="random, validation", targets="anywhere")
     rows = pd.concat([read("rooms.csv"), runs]).query("way == 'any-room'")
@@ -134,7 +134,7 @@ def level3_rooms():
 
 
 def level3_planners():
-    """The planners and the any-room policies in the rooms of level 3: success [%]/SPL."""
+    """Returns planners and any-room policies in the rooms of level 3: success [%]/SPL."""
     validation = {"validation_success": "success", "validation_spl": "spl"}
     rows = pd.concat([read("level3-planners.csv").rename(columns={"planner": "way"}),
                       read("rooms.csv").query(f"way == 'any-room' and {RANDOM_TARGETS}"),
@@ -145,13 +145,13 @@ def level3_planners():
 
 
 def lab():
-    """Policies in the lab."""
+    """Returns the policies in the lab."""
     rows = read("lab.csv").sort_values("allowed").replace({"way": LAB})
     return grouped(rows, "way allowed", "new_success anywhere_success", mean_and_least)
 
 
 def lab_errors():
-    """The success that each error of the lab leaves on its own, the lowest first, and its value."""
+    """Returns success with each single error of the lab, lowest first, and the error's value."""
     room = tomllib.loads((ROOT / "scenes" / "lab.toml").read_text(encoding="utf-8"))
     values = {key.removesuffix("_degrees"): value for key, value in room["reality"].items()}
     rows = read("lab-errors.csv").query("error in ['none', 'all'] or error in @values")
@@ -162,7 +162,7 @@ def lab_errors():
 
 
 def peaks():
-    """The lucky moments of env1's runs from one start pose."""
+    """Returns the peaks of the runs from one start pose in env1."""
     rows = read("curves.csv").query("env == 'env1' and way == 'one-start' and kind == 'new'")
     rows = rows.assign(last=rows.groupby("seed").success.transform("last"))
     return rows.loc[rows.groupby("seed").success.idxmax(),
@@ -170,14 +170,14 @@ def peaks():
 
 
 def stops():
-    """The runs that the paper's rule stops."""
+    """Returns the runs that stop by the paper's rule."""
     runs = [read(f"env1-seed{seed}.json") for seed in range(5)]
     rows = rates(pd.json_normalize(runs, sep="_")).sort_values("frozen_new_success")
     return rows["seed steps seconds rolling_new_success frozen_new frozen_training".split()].values
 
 
 def benchmark():
-    """The speed of each stage on one core and on all."""
+    """Returns the speed of each stage on one core and on all cores."""
     figures = read("benchmark.json")
     speeds = pd.json_normalize([figures, figures.get("all_cores", figures)], sep=" ").T
     speeds = speeds.filter(regex="^((camera|world|env)_.ps 32|network|train|roof_.ps)", axis=0)
@@ -188,7 +188,7 @@ def benchmark():
 
 
 def measured(section):
-    """Returns a section of the benchmark: a row for each key, for each number of `programs`."""
+    """Returns a section of the benchmark with a row for each key; `programs`: for each number."""
     rows = read("benchmark.json")[section]
     return (pd.json_normalize(rows, sep=", ") if section == "programs" else pd.DataFrame(rows)).T
 
@@ -202,14 +202,14 @@ TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "progr
 
 
 def markdown(table):
-    """Returns the text of a table: a list of lists of cells, or a DataFrame with its index."""
+    """Returns the Markdown of a table: a list of lists of cells, or a DataFrame with its index."""
     if isinstance(table, pd.DataFrame):
         table = table.set_axis(range(table.shape[1]), axis=1).reset_index().values
     return "".join(f"| {' | '.join(map(text, row))} |\n" for row in table)
 
 
 def fill(page):
-    """Returns a page's text with its tables made again. Raises KeyError for an unknown one."""
+    """Returns a page's text with new tables. Raises KeyError for an unknown table."""
     return MARKED.sub(lambda match: match[1] + markdown(TABLES[match[2]]()) + match[3], page)
 
 
@@ -219,8 +219,8 @@ def pages():
 
 
 def main(argv=None):
-    """Fills every page."""
-    _, parser = parse({}, "Makes the tables of the pages.", argv)
+    """Runs the command line: fills every page."""
+    _, parser = parse({}, "Make the tables of the pages.", argv)
     try:
         for page in pages():
             write(page, fill(page.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""Tests of the benchmark and of the peers. None of them looks at how fast something is."""
+"""Tests of the benchmark and of the peers. No test depends on a speed."""
 
 import json
 from pathlib import Path
@@ -17,17 +17,17 @@ ROOT = Path(__file__).parent.parent
 SMALL = peers.Settings(2, 6, 1, 2, 1e-3)
 
 
-def test_the_networks_work_is_that_of_its_weights(monkeypatch):
+def test_the_operations_of_the_network_follow_from_its_weights(monkeypatch):
     monkeypatch.setattr(benchmark, "rate", lambda call, count: count)
     places = {(3, 6, 8): 12 * 16, (32, 3, 4): 6 * 8, (64, 2, 2): 2 * 2}  # paper Fig. 2
     uses = sum(weight.numel() * places.get(tuple(weight.shape[1:]), 1)
                for name, weight in Network().named_parameters() if "weight" in name)
     _, flops = benchmark.measure_network(M=1, T=16)
-    assert flops["forward"] == 2 * uses  # a product and a sum
+    assert flops["forward"] == 2 * uses  # one product and one sum per use
     assert 2.5 * flops["forward"] < flops["both"] < 3 * flops["forward"]
 
 
-def test_the_timed_training_is_that_of_train_py(monkeypatch):
+def test_the_timed_training_runs_train_py(monkeypatch):
     monkeypatch.chdir(ROOT)
     training = benchmark.train(*benchmark.SHORT[:-1], "4000", "--workers", "1")
     seconds = {part: sum(taken) for part, taken in training["seconds"].items()}
@@ -35,11 +35,11 @@ def test_the_timed_training_is_that_of_train_py(monkeypatch):
     assert seconds["collecting"] > seconds["act"] + seconds["environment"]
     assert seconds["update"] > seconds["gradient"] + seconds["optimiser"]
     assert seconds["training"] > seconds["collecting"] + seconds["update"]
-    assert len(training["seconds"]["act"]) == 63  # of 64 robots; the evaluation does not count
+    assert len(training["seconds"]["act"]) == 63  # calls with 64 robots, without the evaluation
 
 
 def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, monkeypatch):
-    speeds = iter([100, 80, 50, 40, 10, 20, 30, 60, 1, 4, 1, 3])  # idle: three rounds of four ways
+    speeds = iter([100, 80, 50, 40, 10, 20, 30, 60, 1, 4, 1, 3])  # idle: 3 rounds of 4 runs
     parts = {part: [2.0, 1.0, 4.0] for part, _, _ in clocked.CLOCKS}
     monkeypatch.setattr(benchmark, "train", lambda *options, threads=1, launcher=(): {
         "sps": next(speeds, 1), "share": 0.5, "seconds": parts, "memory_mb": 1})
@@ -58,7 +58,7 @@ def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, mon
     assert set(pd.json_normalize(figures)) == set(pd.json_normalize(published | {"peers": {}}))
 
 
-def test_the_loops_values_and_advantages_are_ours_in_each_episode():
+def test_the_cleanrl_style_loop_has_our_values_and_advantages_in_each_episode():
     learner = peers.CleanRLStyle(SMALL)
     learner.env.max_episode_steps = 3
     steps = learner.collect()
@@ -74,7 +74,7 @@ def test_the_loops_values_and_advantages_are_ours_in_each_episode():
     learner.learn(12)
 
 
-def test_stable_baselines_gets_the_last_observation_and_whether_time_ran_out():
+def test_stable_baselines_gets_the_last_observation_and_the_truncation():
     pytest.importorskip("sb3_contrib")
     env = NavVecEnv(2, max_episode_steps=3)
     adapted = peers.StableBaselinesEnv(NavVecEnv(2, max_episode_steps=3))

@@ -1,4 +1,4 @@
-"""Tests of the whole: who imports whom, and whether the pages are true."""
+"""Tests of the whole project: imports between its parts, and commands, files and links of pages."""
 
 import ast
 import contextlib
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = tables.pages()
 WORLD_HALF = {"navbot_min", "sim", "render", "scenes"}
 LESSON = {"navbot_min", "sim", "render", "model", "ppo", "train"}
-WHO_IMPORTS_WHOM = {  # a file of the top level, or a folder: what it may import of ours
+WHO_IMPORTS_WHOM = {  # top-level file or folder -> our modules that it may import
     "sim": set(),
     "model": set(),
     "ppo": set(),
@@ -33,18 +33,18 @@ WHO_IMPORTS_WHOM = {  # a file of the top level, or a folder: what it may import
     "robot": LESSON | {"scenes", "support", "evaluation"},
     "experiments": LESSON | {"scenes", "support", "evaluation", "robot"},
     "classroom": LESSON | {"scenes", "support", "evaluation", "robot"}}
-PROGRAMS = {"scenes/__main__.py": {"render", "support"}}  # what a program may import besides
+PROGRAMS = {"scenes/__main__.py": {"render", "support"}}  # further imports of a program
 
 
 def our_files():
-    """Every Python file of the project without its tests, relative to its folder."""
+    """Returns the paths of all Python files except tests, relative to ROOT."""
     files = subprocess.run(["git", "ls-files", "-co", "--exclude-standard", "*.py"], cwd=ROOT,
                            capture_output=True, text=True, check=True).stdout.split()
     return [Path(file) for file in files if not Path(file).name.startswith(("test_", "conftest"))]
 
 
 def imports(path):
-    """What a file imports: (module, the function that does so or None) for each import."""
+    """Yields (module, name of the importing function or None) for each import in a file."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     inside = {}
     for node in ast.walk(tree):
@@ -58,7 +58,7 @@ def imports(path):
 
 
 @pytest.mark.parametrize("path", our_files(), ids=str)
-def test_imports_are_those_that_the_house_allows(path):
+def test_a_file_imports_only_allowed_modules(path):
     part = path.parts[0].removesuffix(".py")
     allowed = WHO_IMPORTS_WHOM[part] | {part} | PROGRAMS.get(path.as_posix(), set())
     for module, function in imports(path):
@@ -74,7 +74,7 @@ def test_imports_are_those_that_the_house_allows(path):
     ("sim, render, scenes, navbot_min, support.traces", "torch matplotlib"),
     ("model, ppo", "pymunk matplotlib"), ("evaluation", "torch matplotlib"),
     ("train", "matplotlib evaluation robot scenes.world_file")])
-def test_a_part_is_loaded_without_what_it_does_without(modules, kept_out):
+def test_a_part_loads_without_the_libraries_that_it_does_not_need(modules, kept_out):
     code = f"import sys, {modules}; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True,
                             check=True).stdout.split()
@@ -85,15 +85,15 @@ def test_a_part_is_loaded_without_what_it_does_without(modules, kept_out):
 
 PROGRAM = re.compile(r"(?:python3?|py|torchrun) (?:[^`]*? )?(?:-m ([\w.]+)|([\w/]+\.py))\b")
 FILE_NAME = re.compile(r"[\w./-]+\.(?:py|toml|csv|json|png|gif|txt|md|pt|safetensors|cff)")
-MADE = re.compile(  # by the commands, in a run's folder or in the working folder
+MADE = re.compile(  # files that commands write into a run folder or the working folder
     r"(config|summary|evaluation|episodes|updates|model|checkpoint|curves|trajectories|episode"
     r"|floor|demo|drives|benchmark|paths)(-[\w-]+)?\.(json|csv|pt|safetensors|png|gif)")
 YOURS = {"my_room.toml"}
-OUTSIDE = {"pytest", "pip", "venv"}  # programs of others
+OUTSIDE = {"pytest", "pip", "venv"}  # programs of other projects
 
 
 def code_pieces(text):
-    """The pieces of code on a page: lines of its blocks, and what stands between backticks."""
+    """Returns the pieces of code on a page: lines of its blocks, and text between backticks."""
     blocks = re.findall(r"^ *```\w*\n(.*?)^ *```$", text, re.DOTALL | re.MULTILINE)
     text = re.sub(r"^ *```\w*\n.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
     lines = [line for block in blocks for line in block.splitlines()]
@@ -104,7 +104,7 @@ def code_pieces(text):
 
 @functools.cache
 def help_of(program):
-    """What a program of ours, `train.py` or `experiments.results`, prints for --help."""
+    """Returns the --help text of a program of ours: `train.py` or `experiments.results`."""
     name = program.removesuffix(".py")
     if (ROOT / name / "__main__.py").is_file():
         name += ".__main__"
@@ -117,8 +117,7 @@ def help_of(program):
 
 
 def check_command(piece):
-    """Checks that a piece of code, if it is a command, has a program, flags and choices that
-    exist."""
+    """Checks that program, flags and choices exist if a piece of code is a command."""
     match = PROGRAM.search(piece)
     if not match or (match[1] or match[2]) in OUTSIDE:
         return
@@ -134,7 +133,7 @@ def check_command(piece):
 
 
 def anchors(page):
-    """The anchors of a page's headings, as GitHub makes them."""
+    """Returns the anchors of a page's headings, as GitHub makes them."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
@@ -159,7 +158,7 @@ def test_the_commands_files_and_links_of_a_page_exist(page):
 
 
 @pytest.mark.parametrize("name", ["Makefile", ".ci/run"])
-def test_make_and_ci_run_programs_that_exist(name):
+def test_make_and_ci_only_run_existing_programs(name):
     for line in (ROOT / name).read_text().splitlines():
         check_command(line.strip())
 

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about the steps towards the released learner."""
+"""Tests of the variants with parts of the released learner."""
 
 from unittest.mock import MagicMock, Mock, patch
 
@@ -27,7 +27,7 @@ def test_the_bearing_is_never_wrapped_and_jumps_after_the_first_step():
     assert seen["target"][0, 1] == pytest.approx(bearing)
 
 
-def test_gradients_end_at_the_stored_memory_of_the_step():
+def test_gradients_stop_at_the_stored_memory_of_the_step():
     training, episodes = collected("one-step-gradients")
     episode = max(episodes, key=len)
     batch = ppo.make_minibatch([episode], [episode.rewards])
@@ -36,22 +36,22 @@ def test_gradients_end_at_the_stored_memory_of_the_step():
     for network, through_time in ((training.model, False), (make_network(0), True)):
         _, values, _ = network(seen, network.initial_state(1), batch["mask"])
         assert np.allclose(values[0].detach(), episode.values, atol=1e-5)
-        [slope] = torch.autograd.grad(values[0, -1], seen["target"])
-        assert slope[0, -1].any() and slope[0, :-1].any() == through_time
+        [gradient] = torch.autograd.grad(values[0, -1], seen["target"])
+        assert gradient[0, -1].any() and gradient[0, :-1].any() == through_time
 
 
-def test_a_bounded_beta_is_a_density_over_the_bounds_of_the_actions_and_draws_from_it():
+def test_the_bounded_beta_is_a_density_within_the_bounds_of_the_actions_and_is_sampled():
     beta = study.BoundedBeta(torch.tensor([2.0, 1.5]), torch.tensor([3.0, 5.0]))
     unit = (torch.arange(4000) + 0.5) / 4000
     actions = torch.stack([unit, 2 * unit - 1], -1)
-    share = beta.log_prob(actions).exp() * torch.tensor([1.0, 2.0]) / 4000  # of each action
-    assert torch.allclose((share * actions).sum(0), beta.mean, atol=1e-3)
+    mass = beta.log_prob(actions).exp() * torch.tensor([1.0, 2.0]) / 4000  # of each cell
+    assert torch.allclose((mass * actions).sum(0), beta.mean, atol=1e-3)
     draws = torch.stack([beta.sample(torch.Generator().manual_seed(k)) for k in range(2000)])
     assert torch.allclose(draws.mean(0), beta.mean, atol=0.03)
 
 
 @pytest.mark.parametrize("name, rate", [("no-baseline", 6e-5), ("no-annealing", 6e-4)])
-def test_advantages_may_be_returns_and_the_learning_rate_may_stay(name, rate):
+def test_advantages_can_be_returns_and_the_learning_rate_can_stay(name, rate):
     training, episodes = collected(name)
     training.folder = MagicMock()
     training.seconds = training.config.epochs = training.config.minibatches = 1
@@ -66,14 +66,14 @@ def test_advantages_may_be_returns_and_the_learning_rate_may_stay(name, rate):
     assert training.optimizer.param_groups[0]["lr"] == pytest.approx(rate)
 
 
-def test_the_released_loss_clips_each_action_to_the_inverse_of_the_other_end():
+def test_the_released_loss_clips_each_ratio_to_the_largest_or_its_inverse():
     loss = study.released_loss(torch.tensor([[1.5, 0.5]] * 2), torch.tensor([[2.0], [-2.0]]))
     assert loss.item() == pytest.approx(-(2.4 + 1.0 - 3.0 - 2 / 1.2) / 4)
 
 
 @pytest.mark.parametrize("name, steps, environment", [
     ("beta", 1500, "NavVecEnv"), ("released", 600, "UnwrappedBearing")])
-def test_a_variant_is_trained_and_evaluated_once(name, steps, environment, tmp_path):
+def test_a_variant_is_trained_and_evaluated_only_once(name, steps, environment, tmp_path):
     evaluate = Mock(return_value=({kind: {"success": 0.5} for kind in ("new", "training")}, []))
     with patch.multiple(study, STEPS=steps, evaluate=evaluate, SEEDS=(0,), RESULT=tmp_path / "t",
                         VARIANTS={name: study.VARIANTS[name]}):

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about the runs and the tables that they fill."""
+"""Tests of the runs and of the tables that they fill."""
 
 import json
 import shutil
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import evaluation.__main__ as examination
+import evaluation.__main__ as evaluating
 import robot.evaluate
 import robot.train
 import scenes
@@ -32,7 +32,7 @@ RATE = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "ti
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The folder of all runs and tables, with copies of the published tables."""
+    """Folder for runs and tables, with copies of the published tables."""
     shutil.copytree(ROOT / "results", tmp_path, dirs_exist_ok=True)
     monkeypatch.setattr(runs, "RUNS", tmp_path / "runs")
     monkeypatch.setattr(results, "RESULTS", tmp_path)
@@ -41,7 +41,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def finish(run):
-    """Writes the files of a run that is done; returns its 400 episodes of training."""
+    """Writes the files of a finished run. Returns its 400 training episodes."""
     run.folder.mkdir(parents=True)
     targets = [RATE | {"x": 1.0, "y": 2.0, "kind": kind, "mean_action_arrives": arrives}
                for kind, arrives in (("training", True), ("validation", False))]
@@ -58,7 +58,7 @@ def finish(run):
     return episodes
 
 
-def test_the_programs_accept_every_command_and_write_the_files_that_rows_are_read_from(folder):
+def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folder):
     for run in EVERY:
         commands = results.commands(run)
         if not run.weights:
@@ -73,9 +73,9 @@ def test_the_programs_accept_every_command_and_write_the_files_that_rows_are_rea
             options = {"targets": "both"} | run.options
             (run.folder / "config.json").write_text(json.dumps(options))
             for name, (_, _, program, *arguments) in zip(run.evaluations, commands, strict=True):
-                module = {"evaluation": examination, "robot.evaluate": robot.evaluate}[program]
+                module = {"evaluation": evaluating, "robot.evaluate": robot.evaluate}[program]
                 options, parser = parse(module.Options, "", arguments)
-                prepared = examination.Examination(options)
+                prepared = evaluating.Examination(options)
                 assert (prepared.folder, prepared.suffix) == (run.folder, f"-{name}")
     folders = {run.folder.name for run in EVERY}
     assert len(folders) == len(EVERY) == 10 + 20 + 36 + 36 + 26
@@ -103,7 +103,7 @@ def test_rows_have_the_columns_of_the_published_table_and_replace_older_ones(nam
     pd.testing.assert_frame_equal(*others)
 
 
-def test_the_numbers_in_rows_are_those_of_the_evaluations_and_of_the_episodes(folder):
+def test_rows_have_the_numbers_of_the_evaluations_and_the_episodes(folder):
     episodes = finish(LEVEL_2[0])
     [row] = runs.summary_rows(LEVEL_2[0])
     assert {"steps": 64, "new_success": 0.3333, "anywhere_spl": 0.1235,
@@ -119,13 +119,13 @@ def test_the_numbers_in_rows_are_those_of_the_evaluations_and_of_the_episodes(fo
     assert (point["episodes"], point["new_n"]) == (400, len(new))
     assert point["new_success"] == round((new.outcome == "arrival").sum() / len(new), 4)
     finish(LEVEL_1[0])
-    assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == ""  # half of the episodes arrive
+    assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == ""  # half of them arrive
     episodes.outcome = ["timeout"] * 200 + ["arrival"] * 200
     episodes.to_csv(LEVEL_1[0].folder / "episodes.csv")
     assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == 10 * (200 + 80)
 
 
-def test_planners_and_knobs_are_measured_in_their_rooms(folder, monkeypatch):
+def test_planners_and_errors_are_measured_in_their_rooms(folder, monkeypatch):
     driven = []
     monkeypatch.setattr(results, "evaluate", lambda driver, rooms, *_, **__: driven.append(rooms)
                         or ({"anywhere": RATE | {"n": len(rooms)}}, []))
@@ -145,7 +145,7 @@ def test_planners_and_knobs_are_measured_in_their_rooms(folder, monkeypatch):
         assert room == scenes.load("lab") if error == "all" else changed == {error} - {"none"}
 
 
-def test_a_run_that_fails_is_one_sentence_and_ends_the_others(folder, monkeypatch):
+def test_a_failing_run_gives_one_sentence_and_ends_the_others(folder, monkeypatch):
     codes = ["import time; time.sleep(60)", "raise SystemExit(1)", "print('begun')"]
     wanted = [Run("level2", {"seed": seed}, {}, {}) for seed in range(3)]
     monkeypatch.setattr(results, "commands", lambda run: [
@@ -159,7 +159,7 @@ def test_a_run_that_fails_is_one_sentence_and_ends_the_others(folder, monkeypatc
     assert [process.returncode for process in begun] == [-signal.SIGTERM, 1]
 
 
-def test_weights_are_evaluated_as_they_are_and_those_of_a_published_run_are_copied(folder,
+def test_given_weights_are_evaluated_and_weights_of_a_published_run_are_copied(folder,
                                                                                    monkeypatch):
     weights = (ROOT / LAB[0].weights).read_bytes()
     (folder / "pretrained").mkdir()
@@ -173,7 +173,7 @@ def test_weights_are_evaluated_as_they_are_and_those_of_a_published_run_are_copi
     assert not (folder / "pretrained" / "other.safetensors").exists()
 
 
-def test_an_interrupted_run_is_continued_by_the_same_command(folder, monkeypatch):
+def test_the_same_command_resumes_an_interrupted_run(folder, monkeypatch):
     run = Run("level2", {"env": "env1", "way": "none", "seed": 2},
               {"env": "env1", "steps": 2000, "robots": 8, "memory": "none",
                "evaluation_episodes": 2}, {"anywhere": {"protocol": "anywhere", "episodes": 2}})

@@ -1,4 +1,4 @@
-"""Each test is the shortest proof of one claim about the tables of the pages."""
+"""Tests of the tables of the pages."""
 
 import json
 
@@ -11,13 +11,13 @@ from experiments import tables
 
 @pytest.fixture
 def results(tmp_path, monkeypatch):
-    """An empty folder in place of results/."""
+    """An empty folder that replaces results/."""
     monkeypatch.setattr(tables, "RESULTS", tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize("page", tables.pages(), ids=lambda page: page.name)
-def test_the_tables_of_a_page_are_those_of_the_results(page):
+def test_the_tables_of_a_page_are_up_to_date(page):
     text = page.read_text(encoding="utf-8")
     blank = tables.MARKED.sub(r"\1\3", text)
     assert tables.fill(blank) == text, f"{page.name} is old: run python -m experiments.tables"
@@ -35,12 +35,12 @@ def test_every_table_is_in_a_page():
     assert names == set(tables.TABLES)
 
 
-def test_cells_have_three_digits_and_say_what_is_missing():
+def test_cells_have_three_digits_and_mark_missing_values():
     assert tables.markdown([[1234.5, 99.96, 0.0012345, 0, np.nan, "white_balance", [0.5, 7]]]) == (
         "| 1,234 | 100 | 0.00123 | 0 | - | white balance | 0.5 / 7 |\n")
 
 
-def test_a_group_has_its_seeds_in_order_and_each_weighs_alike(results):
+def test_a_group_lists_its_seeds_in_order_and_weights_them_equally(results):
     (results / "floor.csv").write_text(
         "# a comment\nenv,way,seed,success\n"
         "env2,varied,1,1\nenv2,varied,0,0\nenv2,varied,0,1\nenv1,varied,0,0.25\n"
@@ -51,7 +51,7 @@ def test_a_group_has_its_seeds_in_order_and_each_weighs_alike(results):
         "| env2 | one-start | 0 |"]
 
 
-def test_a_summary_names_the_mean_and_the_worst():
+def test_a_summary_has_the_mean_and_the_worst():
     assert tables.mean_and_worst(pd.Series([90.0, 60.0, 100.0, 70.0])) == "80.0 % (60.0 %)"
 
 
@@ -60,7 +60,7 @@ def test_a_cell_has_the_mean_and_the_worst_of_several_seeds():
     assert tables.mean_and_least(pd.Series([8.666])) == "8.67"
 
 
-def test_a_room_that_a_policy_was_trained_in_has_no_cell(results):
+def test_the_training_room_of_a_policy_has_no_cell(results):
     header = "env,way,seed,room,targets,success\n"
     (results / "carry-over.csv").write_text(
         header + "env1,varied,0,env2,anywhere,0.5\nenv1,varied,1,env2,anywhere,0.7\n"
@@ -72,7 +72,7 @@ def test_a_room_that_a_policy_was_trained_in_has_no_cell(results):
         "| env1 | - | 60 (50) |", "| env2 | 25 | - |", "| random rooms | 90 | 100 |"]
 
 
-def test_only_errors_that_the_lab_still_has_are_shown_the_most_costly_first(results):
+def test_only_current_errors_of_the_lab_are_shown_lowest_success_first(results):
     (results / "lab-errors.csv").write_text("weights,error,success\n" + "".join(
         f"{weights},{error},{success}\n" for weights in ("env2", "any-room")
         for error, success in (("none", 1), ("veer", 0.5), ("camera_yaw", 0.9),
@@ -82,10 +82,10 @@ def test_only_errors_that_the_lab_still_has_are_shown_the_most_costly_first(resu
         "| none | - | 100 | 100 |"]
 
 
-def test_a_share_of_the_roof_is_of_the_same_stage_on_the_same_cores(results):
+def test_a_percentage_of_the_roof_has_the_same_stage_and_cores(results):
     one = {"network_fps": {"act": 1, "forward": 2, "both": 3}, "train_sps": 4,
            "roof_fps": {"act": 10, "forward": 10, "both": 10}, "roof_sps": 10}
     both = one | {"train_sps": 8, "roof_sps": 32}
     (results / "benchmark.json").write_text(json.dumps(one | {"all_cores": both, "peers": {}}))
-    shares = tables.benchmark().filter(like="%", axis=0).values.tolist()
-    assert shares == [[10, 10], [20, 20], [30, 30], [40, 25]]
+    percentages = tables.benchmark().filter(like="%", axis=0).values.tolist()
+    assert percentages == [[10, 10], [20, 20], [30, 30], [40, 25]]

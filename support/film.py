@@ -1,8 +1,8 @@
-"""An episode as a film, a picture or a window: the map next to what the camera sees."""
+"""An episode as a film, a picture or a window: the map next to the camera image."""
 
 from functools import partial
 
-# Before matplotlib, which it makes ready to be imported.
+# Must be imported before matplotlib.
 from support.pictures import PALETTE, draw_robot, draw_room, draw_target, kind_of
 
 import numpy as np
@@ -13,38 +13,38 @@ from PIL import Image
 from render import H, W
 from sim import CONTROL_PERIOD
 
-SIZE = 760, 312  # [px] width and height of a frame, even, as video encoders need it
+SIZE = 760, 312  # [px] width and height of a frame; video encoders need even numbers
 SHAPE = dict(figsize=np.divide(SIZE, 100), dpi=100)
-ZOOM = 5  # pixels of a frame to a pixel of the camera, across and down
-CAMERA_CORNER = 428, 32  # [px] left and top of the camera's image, from the frame's upper left
-MAP = 8, 40, 412, 240  # [px] left, bottom, width, height, from the frame's lower left
-ABOVE, BELOW = 292, 12  # [px] heights of the words above and below map and camera
+ZOOM = 5  # pixels of a frame per camera pixel, in both directions
+CAMERA_CORNER = 428, 32  # [px] left and top of the camera image, from the upper left
+MAP = 8, 40, 412, 240  # [px] left, bottom, width, height, from the lower left
+ABOVE, BELOW = 292, 12  # [px] heights of the texts above and below map and camera
 RENDER_FPS = 10  # frames per second of a film, as in navbot_min
 
 
 class EpisodeView:
-    """The pictures of one episode. The robot's trail grows with every frame."""
+    """Draws the frames of one episode. The robot's trail grows with every frame."""
 
     def __init__(self, scene, goal, label="", pace=""):
-        """goal: (2,) [m]. label, pace: words below and above what the camera sees."""
+        """goal: (2,) [m]. label, pace: texts below and above the camera image."""
         figure = Figure(**SHAPE)
         self._canvas = FigureCanvasAgg(figure)
         self._axes = figure.add_axes(np.divide(MAP, SIZE * 2), anchor="W")
         draw_room(self._axes, scene)
         draw_target(self._axes, scene, goal, ring=True, fc=PALETTE["cube"], ec=PALETTE["cube"])
         self._axes.axis("off")
-        self._text = partial(figure.text, fontsize=10, transform=None)  # None: places in pixels
+        self._text = partial(figure.text, fontsize=10, transform=None)  # None: in pixels
         target = f"{kind_of(scene, goal)} target".removeprefix("goal ")
         self._text(MAP[0], BELOW, f"blue cube in the ring: {target}")
-        self._text(CAMERA_CORNER[0], ABOVE, f"what the robot sees{pace}")
+        self._text(CAMERA_CORNER[0], ABOVE, f"camera image{pace}")
         self._text(CAMERA_CORNER[0], BELOW, label)
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
         self._places = []
 
     def frame(self, pose, image, command, step):
-        """Returns the frame (h, w, 3) uint8 after a step: the robot at its pose (3,), what it sees
-        (H, W, 3), and the command (2,) [m/s, rad/s] that led here."""
+        """Returns the frame (h, w, 3) uint8 after a step: the robot at its pose (3,), its image
+        (H, W, 3), and the command (2,) [m/s, rad/s] of the step."""
         self._places.append(tuple(pose[:2]))
         trail = self._axes.plot(*zip(*self._places), color=PALETTE["robot"], lw=1.6, alpha=0.6)
         words = f"{step * CONTROL_PERIOD:4.1f} s  {command[0]:5.2f} m/s  {command[1]:+5.2f} rad/s"
@@ -61,11 +61,11 @@ class EpisodeView:
 
 def write_film(trace, file):
     """Writes a trace that has images as a GIF. file: a path or a binary file."""
-    pace = f", {RENDER_FPS * CONTROL_PERIOD:g} times faster than life"
+    pace = f", {RENDER_FPS * CONTROL_PERIOD:g} times real time"
     view = EpisodeView(trace.scene, trace.goal, trace.label, pace)
-    commands = [(0, 0), *trace.commands]  # none led to the start
+    commands = [(0, 0), *trace.commands]  # no command led to the start
     frames = list(map(view.frame, trace.poses, trace.images, commands, range(len(commands))))
-    several = np.concatenate(frames[::8] + frames[-1:])  # one choice of colours for all frames
+    several = np.concatenate(frames[::8] + frames[-1:])  # the same colours for all frames
     colours = Image.fromarray(several).quantize(64, Image.Quantize.MAXCOVERAGE, kmeans=1)
     first, *others = [Image.fromarray(frame).quantize(palette=colours, dither=0)
                       for frame in frames]
@@ -74,15 +74,15 @@ def write_film(trace, file):
 
 
 class Window:
-    """A matplotlib window that shows one frame after the other. Once closed, it stays closed."""
+    """A matplotlib window that shows frames. Once closed, it stays closed."""
 
     def __init__(self):
-        """Raises RuntimeError if there is no display."""
-        import matplotlib.pyplot as plt  # only a window needs it
+        """Opens the window. Raises RuntimeError without a display."""
+        import matplotlib.pyplot as plt  # needed only for a window
         figure = plt.figure(**SHAPE)
         self._canvas = figure.canvas
         self._is_open = partial(plt.fignum_exists, figure.number)
-        self.close = partial(plt.close, figure)  # of no effect on a closed window
+        self.close = partial(plt.close, figure)  # has no effect on a closed window
         if self._canvas.required_interactive_framework is None:
             self.close()
             raise RuntimeError("no window can be opened here, so the render mode must be rgb_array")
@@ -100,13 +100,13 @@ class Window:
 
 
 class Screen:
-    """The pictures of `NavEnv.render`: the map next to the camera's image."""
+    """Pictures for `NavEnv.render`: the map next to the camera image."""
     def __init__(self, scene, mode, fps):
         """mode: "rgb_array" or "human", a window. Raises RuntimeError."""
         self.scene = scene
         self.fps = fps
         self.window = Window() if mode == "human" else None
-        self.view = None  # of the episode under way
+        self.view = None  # EpisodeView of the current episode
 
     def draw(self, observation, info):
         """Returns the picture (h, w, 3) uint8 of a step of `NavEnv`; None if a window shows it."""

@@ -1,5 +1,5 @@
 """Pictures of training and evaluation as matplotlib figures, which need no display. Import this
-module before matplotlib, which MPLBACKEND may break. No matplotlibrc changes a picture."""
+module before matplotlib, because MPLBACKEND can break its import. A matplotlibrc has no effect."""
 
 import math
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 kind, _, module = os.environ.get("MPLBACKEND", "").partition("://")
 if kind == "module" and not find_spec(module.split(".")[0]):
-    del os.environ["MPLBACKEND"]  # a notebook's, from another environment: matplotlib would fail
+    del os.environ["MPLBACKEND"]  # set by a notebook in another environment: matplotlib would fail
 
 import matplotlib
 import numpy as np
@@ -22,35 +22,35 @@ from render import CUBE_SIZE
 from sim import ROBOT_RADIUS
 from support.runs import read_table, write
 
-if "matplotlib.pyplot" not in sys.modules:  # a program that has pyplot keeps its own settings
+if "matplotlib.pyplot" not in sys.modules:  # programs that use pyplot keep their settings
     matplotlib.rcdefaults()
 
-WIDTH = 9.0  # [inch] of a figure, so that its letters can be read at 800 px
-SPACING = {"env1": {"training": 200, "new": 100},  # episodes between the points of Fig. 4 and 5
+WIDTH = 9.0  # [inch] of a figure, so that text is legible at 800 px
+SPACING = {"env1": {"training": 200, "new": 100},  # episodes between two points of Fig. 4 and 5
            "env2": {"training": 500, "new": 100}}
 WINDOW = 100  # episodes in a success rate, paper IV-B
-KINDS = {  # of episodes in each task, and their names in a picture
-    "memorize": {"training": "the one target"},
+KINDS = {  # task -> kind of episodes -> name in a picture
+    "memorize": {"training": "training target"},
     "both": {"training": "training targets", "new": "new targets"},
-    "anywhere": {"training": "rooms learnt in", "new": "rooms not learnt in"}}
-FEWEST = 5  # episodes in a patch of the floor whose success rate is shown
+    "anywhere": {"training": "training rooms", "new": "new rooms"}}
+FEWEST = 5  # episodes in a patch of the floor, otherwise no success rate is shown
 
-# Colours that meet in a picture differ for colour-blind readers too (`test_pictures.py`).
+# Colours of one picture differ for colour-blind readers too.
 PALETTE = {
-    "training": "#1f4fd8", "new": "#22b14c",  # targets, blue and green as in Fig. 3
+    "training": "#1f4fd8", "new": "#22b14c",  # targets, colours of Fig. 3
     "arrival": "#00708a", "collision": "#d7191c", "timeout": "#e6a800",  # outcomes
     "standing": "#7a4fb5",
     "one-start": "#b35806", "varied": "#542788",  # ways to train
-    "run": "#9e0f66", "paper": "#9a9a9a",  # this run, and the paper's released records
-    "wall": "#d3ccc4", "brick": "#bd7f73", "wood": "#e6c08f",  # boxes, paler than the camera's
-    "robot": "#222222", "goal": "#6b6b6b",  # a goal that is not a target of the scene
-    "cube": "#1414eb",  # the camera's colour of every target
-    "input": "#fbe9c9", "layer": "#e3e8ee", "memory": "#f3d9e3", "output": "#d8ebe6"}  # of diagrams
+    "run": "#9e0f66", "paper": "#9a9a9a",  # this run, the paper's released records
+    "wall": "#d3ccc4", "brick": "#bd7f73", "wood": "#e6c08f",  # boxes, paler than in the camera
+    "robot": "#222222", "goal": "#6b6b6b",  # a random target
+    "cube": "#1414eb",  # every target in the camera image
+    "input": "#fbe9c9", "layer": "#e3e8ee", "memory": "#f3d9e3", "output": "#d8ebe6"}  # diagrams
 MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
-# Entries of legends: the robot's disc at its start, and a white patch of a painted floor.
+# Legend entries: the robot at its start, and a patch of the floor without a colour.
 START = Line2D([], [], color=PALETTE["robot"], marker="o", ms=8, ls="none", label="start")
-TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"under {FEWEST} episodes: too few to tell")
+TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"fewer than {FEWEST} episodes")
 
 
 def save(figure, path):
@@ -59,7 +59,7 @@ def save(figure, path):
 
 
 def legend_below(figure, handles=(), **style):
-    """Draws a legend of those handles, then of all that is labelled, each label once."""
+    """Draws a legend below: the handles, then all labelled artists, each label once."""
     labelled = {handle.get_label(): handle for axes in figure.axes
                 for handle in axes.get_legend_handles_labels()[0]}
     figure.legend(handles=[*handles, *labelled.values()], loc="outside lower center",
@@ -67,7 +67,7 @@ def legend_below(figure, handles=(), **style):
 
 
 def draw_room(axes, scene):
-    """Draws a scene's boxes from above on matplotlib axes, in metres."""
+    """Draws the boxes of a scene from above, in metres."""
     for box in scene.boxes:
         axes.fill(*box.corners.T, color=PALETTE[box.material], lw=0)
     x, y = scene.bounds.T
@@ -75,7 +75,7 @@ def draw_room(axes, scene):
 
 
 def kind_of(scene, goal):
-    """Returns "training" or "new" if the goal (2,) [m] is such a target of the scene, or "goal"."""
+    """Returns the kind of a goal (2,) [m]: "training", "new", or "goal" for a random target."""
     if tuple(goal) in map(tuple, scene.training_targets):
         return "training"
     return "new" if tuple(goal) in map(tuple, scene.new_targets) else "goal"
@@ -83,7 +83,7 @@ def kind_of(scene, goal):
 
 def draw_target(axes, scene, goal, ring=False, **style):
     """Draws the cube at the goal (2,) [m], blue for training targets and green for new ones
-    (Fig. 3). ring: whether it is the target of the episode that the picture is about."""
+    (Fig. 3). ring: draws a ring around the target of the shown episode."""
     style = {"fc": PALETTE[kind_of(scene, goal)], "ec": "white", "lw": 0.6, "zorder": 3.6} | style
     axes.add_patch(Rectangle(np.subtract(goal, CUBE_SIZE / 2), CUBE_SIZE, CUBE_SIZE, **style))
     if ring:
@@ -91,7 +91,7 @@ def draw_target(axes, scene, goal, ring=False, **style):
 
 
 def draw_robot(axes, pose):
-    """Draws the robot's disc at a pose (3,), and where it looks. Returns both artists."""
+    """Draws the robot's disc at a pose (3,), and its heading. Returns both artists."""
     x, y, theta = pose
     nose = x + ROBOT_RADIUS * math.cos(theta), y + ROBOT_RADIUS * math.sin(theta)
     disc = axes.add_patch(Circle((x, y), ROBOT_RADIUS, color=PALETTE["robot"], lw=0, zorder=3.2))
@@ -99,28 +99,28 @@ def draw_robot(axes, pose):
 
 
 def draw_map(axes, scene):
-    """Draws a scene from above on matplotlib axes: boxes and all targets (Fig. 3)."""
+    """Draws the boxes and all targets of a scene from above (Fig. 3)."""
     draw_room(axes, scene)
     for target in scene.targets:
         draw_target(axes, scene, target)
 
 
 def draw_path(axes, trace, **style):
-    """Draws a trace's path in the colour of its outcome, with the outcome's mark at the end."""
+    """Draws the path of a trace in the colour of its outcome, with a marker at the end."""
     colour = PALETTE[trace.outcome]
     axes.plot(*trace.poses[:, :2].T, color=colour, **style)
     axes.plot(*trace.poses[-1, :2], MARKERS[trace.outcome], color=colour, ms=3.5, zorder=3.5)
 
 
 def target_handles(scene):
-    """Returns a legend's entries for the kinds of a scene's targets."""
+    """Returns legend entries for the kinds of targets of a scene."""
     kinds = dict.fromkeys(kind_of(scene, target) for target in scene.targets)
     return [Line2D([], [], color=PALETTE[kind], marker="s", ls="none", label=f"{kind} target")
             for kind in kinds]
 
 
 def legend_of_paths(figure, scene, traces):
-    """Draws the legend of paths, with the fraction of each outcome."""
+    """Draws a legend for paths, with the fraction of each outcome."""
     outcomes = [trace.outcome for trace in traces]
     ends = [Line2D([], [], color=PALETTE[outcome], marker=MARKERS[outcome], ms=5,
                    label=f"{outcome} {outcomes.count(outcome) / len(outcomes):.1%}")
@@ -129,7 +129,7 @@ def legend_of_paths(figure, scene, traces):
 
 
 def draw_demo(scene, traces):
-    """Returns a Figure: the map with all paths, and six of the last trace's images."""
+    """Returns a Figure: the map with all paths, and six images of the last trace."""
     figure = Figure(figsize=(WIDTH, 6.5), layout="constrained")
     axes, camera = figure.subplots(2, height_ratios=(4, 1))
     draw_map(axes, scene)
@@ -139,15 +139,15 @@ def draw_demo(scene, traces):
     draw_robot(axes, trace.start)
     moments = np.linspace(0, len(trace.images) - 1, 6).astype(int)
     camera.imshow(np.hstack(trace.images[moments]))
-    camera.set_title("what the camera saw on the way to the target in the ring, from start to end")
+    camera.set_title("camera images on the path to the target in the ring, from start to end")
     camera.axis("off")
     legend_of_paths(figure, scene, traces)
     return figure
 
 
 def curve(rows, window):
-    """Returns the points of Fig. 4 and 5, after each full window and the last episode: episodes
-    (P,), success [%] of the last 100 of them, and mean return of the last `window`."""
+    """Returns the points of Fig. 4 and 5, after each full window and the last episode: number of
+    episodes (P,), success [%] of the last WINDOW, and mean return of the last `window` episodes."""
     ends = [*range(window, len(rows), window), len(rows)]
     arrived = [row["outcome"] == "arrival" for row in rows]
     returns = [float(row["return"]) for row in rows]
@@ -156,7 +156,7 @@ def curve(rows, window):
 
 
 def released_curve(env, kind):
-    """Returns the paper's curve, as `curve` ours. A mean return over a shorter window is nan."""
+    """Returns the paper's curve like `curve`. A mean return over a shorter window is nan."""
     rows = [row for row in read_table(Path(__file__).with_name("paper_curves.csv"))
             if (row["env"], row["targets"]) == (env, kind)]
     return ([int(row["episodes"]) for row in rows],
@@ -166,8 +166,8 @@ def released_curve(env, kind):
 
 
 def draw_curves(episodes, env, stop_rate, task="both"):
-    """Returns a Figure as Fig. 4 and 5, over the paper's curves if it has this task in this room.
-    episodes: the rows of episodes.csv. stop_rate: the rate r of Algorithm 1. task: of KINDS."""
+    """Returns a Figure like Fig. 4 and 5, with the paper's curves if they exist for task and room.
+    episodes: rows of episodes.csv. stop_rate: the rate r of Algorithm 1. task: a key of KINDS."""
     kinds = KINDS[task]
     in_paper = task == "both" and env in SPACING
     figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
@@ -175,32 +175,32 @@ def draw_curves(episodes, env, stop_rate, task="both"):
     for column, (kind, name) in zip(panels.T, kinds.items()):
         window = SPACING[env][kind] if in_paper else WINDOW
         rows = [row for row in episodes if row["kind"] == kind]
-        for k, axes in enumerate(column, 1):  # success, and return
+        for k, axes in enumerate(column, 1):  # row 1: success; row 2: return
             axes.grid(alpha=0.3)
             if in_paper:
                 theirs = released_curve(env, kind)
                 axes.plot(theirs[0], theirs[k], color=PALETTE["paper"], lw=2,
-                          label="the paper's run, released records")
+                          label="the paper's run")
             if len(rows) >= window:
                 ours = curve(rows, window)
                 axes.plot(ours[0], ours[k], "o-", color=PALETTE["run"], ms=4, label="this run")
             else:
-                axes.text(0.03, 0.92, f"this run: under {window} episodes",
+                axes.text(0.03, 0.92, f"this run: fewer than {window} episodes",
                           transform=axes.transAxes, color=PALETTE["run"])
         column[0].set_title(name, color=PALETTE[kind], weight="bold")
-        column[1].set(xlabel="episodes", ylabel=f"mean reward,\nlast {window} episodes")
+        column[1].set(xlabel="episodes", ylabel=f"mean return,\nlast {window} episodes")
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
     if "new" in kinds:
         panels[0, 1].axhline(100 * stop_rate, color=PALETTE["robot"], lw=0.9, ls="--",
                              label=f"training stops above {stop_rate:.0%}")
-    figure.suptitle(env, parse_math=False)  # a $ in a name begins no formula, here and below
+    figure.suptitle(env, parse_math=False)  # a $ in a name does not begin a formula
     legend_below(figure, ncols=3)
     return figure
 
 
 def draw_trajectories(scene, traces, most=20):
-    """Returns a Figure as Fig. 6: a panel for each target with at most `most` paths to it, coloured
-    by outcome. Goals anywhere, and more than 16 targets, share a panel with four times as many."""
+    """Returns a Figure like Fig. 6: a panel for each target with at most `most` paths, coloured by
+    outcome. Random targets, or more than 16 targets, share a panel with at most 4 `most` paths."""
     shown = scene.targets if len(scene.targets) <= 16 else []
     groups = {tuple(target): [] for target in shown} | {None: []}  # None: other goals
     for trace in traces:
@@ -214,11 +214,11 @@ def draw_trajectories(scene, traces, most=20):
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flat
     for axes, (goal, group) in zip(panels, groups.items()):
         draw_room(axes, scene)
-        name = "goals anywhere"
+        name = "random targets"
         if goal:
             draw_target(axes, scene, goal, ring=True)
             name = f"{kind_of(scene, goal)} target ({goal[0]:.1f}, {goal[1]:.1f})"
-        # Evenly among all, because the first episodes to end are the short ones.
+        # Evenly spaced, because the first episodes to end are short.
         drawn = min(len(group), most if goal else 4 * most)
         for k in np.linspace(0, len(group) - 1, drawn).astype(int):
             draw_path(axes, group[k], lw=0.9, alpha=0.6)
@@ -228,14 +228,14 @@ def draw_trajectories(scene, traces, most=20):
         axes.label_outer()
     for axes in panels[len(groups):]:
         axes.axis("off")
-    figure.suptitle(f"{scene.name}: where the robot drove", parse_math=False)
+    figure.suptitle(f"{scene.name}: paths", parse_math=False)
     legend_of_paths(figure, scene, traces)
     return figure
 
 
 def paint_floor(axes, scene, goals, success, patch):
-    """Paints each patch of the floor, `patch` [m] wide, by the mean success (n,) of the goals
-    (n, 2) in it, if there are FEWEST. One is centred on the room's corner. Returns the mesh [%]."""
+    """Paints patches of the floor, `patch` [m] wide, by the mean success (n,) of the goals (n, 2)
+    in them, if they have FEWEST. A patch is centred on the room's corner. Returns the mesh [%]."""
     bins = [np.arange(low - patch / 2, high + patch, patch) for low, high in zip(*scene.bounds)]
     x, y = np.reshape(goals, (-1, 2)).T
     tried = np.histogram2d(x, y, bins)[0]
@@ -247,7 +247,7 @@ def paint_floor(axes, scene, goals, success, patch):
 
 
 def draw_floor(scene, traces, patch):
-    """Returns a Figure: the success rate for targets in each patch of the floor."""
+    """Returns a Figure with the success rate for targets in each patch of the floor."""
     width, height = np.ptp(scene.bounds, axis=0)
     figure = Figure(figsize=(WIDTH, 7.2 * height / width + 1.4), layout="constrained")
     mesh = paint_floor(figure.subplots(), scene, [trace.goal for trace in traces],

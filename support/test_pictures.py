@@ -15,7 +15,7 @@ ENV1 = scenes.load("env1")
 
 
 def trace(goal, places):
-    """Returns the Trace of an episode through places (T + 1, 2), heading along x. It arrives."""
+    """Returns an episode through the places (T + 1, 2), heading along x, that arrives."""
     poses = np.column_stack([places, np.zeros(len(places))])
     T = len(poses) - 1
     images = np.random.default_rng(0).integers(0, 256, (T + 1, H, W, 3), dtype=np.uint8)
@@ -23,7 +23,7 @@ def trace(goal, places):
                  commands=np.tile((0.3, 0.0), (T, 1)), rewards=np.zeros(T), outcome="arrival")
 
 
-def test_curves_are_means_over_full_windows_and_a_panel_without_one_explains_it():
+def test_curves_are_means_over_full_windows_and_a_panel_without_one_has_a_note():
     rng = np.random.default_rng(0)
     rows = [{"kind": kind, "outcome": str(rng.choice(["arrival", "timeout"])),
              "return": str(rng.normal())} for kind in ["training"] * 450 + ["new"] * 99]
@@ -31,15 +31,15 @@ def test_curves_are_means_over_full_windows_and_a_panel_without_one_explains_it(
     arrived = [row["outcome"] == "arrival" for row in rows]
     returns = [float(row["return"]) for row in rows]
     for panel, values, window in ((axes[0], arrived, 100), (axes[2], returns, 200)):
-        _, run = panel.lines  # the curve of the paper and that of this run
+        _, run = panel.lines  # the paper's, and this run
         assert run.get_xdata().tolist() == [200, 400, 450]
         means = [np.mean(values[end - window:end]) for end in (200, 400, 450)]
         assert np.allclose(run.get_ydata(), np.multiply(means, 100 if panel is axes[0] else 1))
     assert [[text.get_text() for text in panel.texts] for panel in axes] == [
-        [], ["this run: under 100 episodes"]] * 2
+        [], ["this run: fewer than 100 episodes"]] * 2
 
 
-def test_each_target_has_a_panel_with_an_even_choice_of_paths_and_random_targets_share_one():
+def test_each_target_has_a_panel_with_evenly_chosen_paths_and_random_targets_share_one():
     goals = [ENV1.targets[0], (-1.0, -3.0), (-2.0, -3.0), *[ENV1.targets[2]] * 100]
     traces = [trace(goal, np.full((k + 3, 2), min(k, 3))) for k, goal in enumerate(goals)]
     first, third, anywhere = pictures.draw_trajectories(ENV1, traces, most=20).axes
@@ -49,8 +49,8 @@ def test_each_target_has_a_panel_with_an_even_choice_of_paths_and_random_targets
     assert lengths[1][0] == 6 and lengths[1][-1] == 105 and max(np.diff(lengths[1])) < 8
 
 
-def test_a_patch_of_floor_shows_its_success_rate_if_it_has_five_episodes():
-    counts = {(4, 3): 8, (5, 3): 4, (6, 6): 5}  # patch, from the corner -> episodes
+def test_a_patch_of_the_floor_shows_its_mean_success_if_it_has_five_episodes():
+    counts = {(4, 3): 8, (5, 3): 4, (6, 6): 5}  # patches, from the corner, and their episodes
     goals = np.concatenate([np.tile(ENV1.bounds[0] + 0.25 * np.array(patch), (n, 1))
                             for patch, n in counts.items()])
     success = [k % 4 == 0 for k in range(len(goals))]
@@ -69,13 +69,13 @@ def on_map(place):
 
 
 @pytest.mark.parametrize("goal", (ENV1.targets[0], ENV1.targets[2], (-2.0, -2.0)))
-def test_a_frame_shows_robot_trail_camera_image_and_only_its_own_target(goal):
+def test_a_frame_shows_robot_trail_image_and_only_the_target_of_the_episode(goal):
     driven = trace(goal, [(-1.0, -3.0), (-2.0, -3.0), (-3.5, -3.0)])
     view = film.EpisodeView(ENV1, goal)
     steps = list(zip(driven.poses, driven.images))
     frames = [view.frame(pose, image, (0.3, -1.0), 10) for pose, image in steps]
     between = [frame[on_map((-1.5, -3.0))].min() == 255 for frame in frames]
-    assert between == [True, False, False]  # the trail grows, and earlier frames do not change
+    assert between == [True, False, False]  # the trail grows, and frames that were given stay
     for (pose, image), frame in zip(steps, frames):
         assert frame.dtype == np.uint8 and frame.shape == (312, 760, 3)  # even, for video encoders
         dark = np.argwhere((frame == np.array(to_rgb(PALETTE["robot"])) * 255).all(-1))
@@ -89,7 +89,7 @@ def test_a_frame_shows_robot_trail_camera_image_and_only_its_own_target(goal):
         assert blue == np.array_equal(target, goal)
 
 
-def test_a_machine_without_a_display_has_no_window():
+def test_without_a_display_a_window_raises_an_error():
     import matplotlib.pyplot as plt
     plt.switch_backend("agg")
     with pytest.raises(RuntimeError, match="no window .* must be rgb_array"):

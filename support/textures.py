@@ -1,10 +1,10 @@
-"""The texture of each material of walls, our choice."""
+"""Textures for the materials of walls. All of them are our choice."""
 
 import numpy as np
 
 TEXEL = 0.025  # [m] one texture element
 PERIOD = 48  # texels after which a texture repeats along a wall, 1.2 m
-SUN = np.array((0.5, -0.1, 0.9)) / np.linalg.norm((0.5, -0.1, 0.9))  # towards it, released world
+SUN = np.array((0.5, -0.1, 0.9)) / np.linalg.norm((0.5, -0.1, 0.9))  # released world
 FLOOR = (118, 118, 118)  # colours, our choice
 SKY = (178, 178, 178)  # 0.7 of white, released world
 BLUE = (20, 20, 235)
@@ -16,8 +16,8 @@ def light(normal):
 
 
 def texture(material, above):
-    """Returns the colours [0, 255] of a wall, (PERIOD, above, 3), by texels along it and above its
-    foot. above: a multiple of 8."""
+    """Returns the colours [0, 255] of a wall, (PERIOD, above, 3). Axes: texels along the wall,
+    texels above its bottom. above: a multiple of 8."""
     rng = np.random.default_rng(sum(material.encode()))
     u, v = np.meshgrid(np.arange(PERIOD), np.arange(above), indexing="ij")
     if material == "wall":  # grey-brown ceiling tiles, 0.6 m, grainy
