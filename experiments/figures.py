@@ -254,6 +254,22 @@ def draw_appearances():
     return figure
 
 
+def draw_delta(deltas, delta, label):
+    """Draws the success rate against steps of the lesson and of a variant, three seeds each."""
+    figure, axes = page(3.4)
+    for name, colour, text in (("lesson", "paper", "the lesson"), (delta, "run", label)):
+        runs = deltas[deltas.delta == name].groupby("seed")
+        for (_, run), style in zip(runs, ("-", "--", ":")):
+            axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
+                      label=text if style == "-" else None)
+    axes.set(title=f"env1, three seeds: the lesson and {label}", ylim=(-2, 103),
+             xlabel="steps, summed over robots",
+             ylabel=f"success rate, training targets,\nlast {WINDOW} episodes [%]")
+    axes.grid(alpha=0.3)
+    legend_below(figure, ncols=2)
+    return figure
+
+
 def draw_lab(lab):
     """Draws the frozen policies in the lab: a row for each training, with a dot for each seed."""
     lab = lab.assign(collision=(lab.training_collision + lab.new_collision) / 2,
@@ -331,6 +347,8 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
     "episode.gif": lambda: film_episode(*pretrained("env1")),
+    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "lambda = 1 (no GAE)"),
+    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "no clipping"),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "any-room.png": draw_any_room,

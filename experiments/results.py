@@ -24,10 +24,9 @@ from support.runs import RunError, write
 from support.weights import FILE, load_model
 
 OPTIONS = {
-    "level": option("", "only this level of the paper, or the lab (default: all)",
-                    choices=("1", "2", "3", "lab")),
+    "level": option("", "only this level of the paper, the lab or the planners (default: all)",
+                    choices=("1", "2", "3", "lab", "planners")),
     "ablations": option(False, "also make the ablations of level 2, seeds 0 to 2"),
-    "planners": option(False, "only evaluate the planners, without any training"),
     "jobs": option(2, "number of runs at a time, each on one core", 1, 64)}
 
 
@@ -143,16 +142,16 @@ def write_lab_errors():
 def main(argv=None):
     """Runs the command line."""
     options, parser = parse(OPTIONS, "Make every table and figure of the results.", argv)
-    ablations = runs.LEVEL_2_ABLATIONS if options.ablations else []
+    ablations = runs.LEVEL_2_ABLATIONS + runs.DELTAS if options.ablations else []
     # In this order, because runs in the lab start from weights of levels 2 and 3.
     stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}
-    chosen = [level for level in stages if options.level in ("", level) and not options.planners]
+    chosen = [level for level in stages if options.level in ("", level)]
     try:
         for level in chosen:
             make_runs(stages[level], options.jobs)
         if "lab" in chosen:
             write_lab_errors()
-        if options.planners or not options.level:
+        if options.level in ("", "planners"):
             write_planners()
         figures.main([])
         tables.main([])

@@ -175,17 +175,13 @@ def curve_rows(run):
     return rows
 
 
-def lab_curve_rows(run):
-    """Returns a run's rows of lab-curves.csv: means over 300 episodes, about 50 to new targets."""
-    episodes = run.read("episodes.csv")
-    rows = []
-    for n in range(300, len(episodes) + 1, 50):
-        last = episodes[n - 300:n]
-        new = last[last.kind == "new"]
-        rows.append(run.names | {"episodes": n, "new_n": len(new),
-                                 "new_success": round((new.outcome == "arrival").mean(), 4),
-                                 "collision": round((last.outcome == "collision").mean(), 4)})
-    return rows
+def delta_rows(run):
+    """Returns a run's rows of deltas.csv, one per 100 training episodes. frozen: success rate of
+    the final policy with random starts and targets."""
+    frozen = round(run.read("evaluation-anywhere.json")["anywhere"]["success"], 3)
+    points = [row for row in curve_rows(run) if row["kind"] == "training"]
+    return [run.names | {"steps": row["steps"], "success": row["success"], "frozen": frozen}
+            for row in points[::2]]
 
 
 LEVEL_1 = [  # one target; start pose and target are perturbed
@@ -194,6 +190,11 @@ LEVEL_1 = [  # one target; start pose and target are perturbed
     for env in ("env1", "maze0") for seed in range(5)]
 LEVEL_2 = level_2_runs(WAYS, range(5))
 LEVEL_2_ABLATIONS = level_2_runs(ABLATIONS | {"one-room": {"mirrored": 0.0}}, range(3))
+DELTAS = [  # the lesson, and variants with one changed option
+    Run("delta", {"delta": name, "seed": seed}, {"env": "env1", "steps": 120_000} | options,
+        {"anywhere": {"protocol": "anywhere", "episodes": 300}})
+    for name, options in {"lesson": {}, "lambda": {"lam": 1.0}, "clipping": {"clip": 1e9}}.items()
+    for seed in range(3)]
 LEVEL_3 = level_3_runs()
 LAB = lab_runs()
 TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
@@ -201,10 +202,9 @@ TABLES = {  # file in results/ -> its runs, function that returns the rows of a 
     "seeds.csv": (LEVEL_2, summary_rows), "hidden.csv": (LEVEL_2, hidden_rows),
     "floor.csv": (LEVEL_2, floor_rows), "curves.csv": (LEVEL_2, curve_rows),
     "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
-    "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows),
+    "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows), "deltas.csv": (DELTAS, delta_rows),
     "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
-    "lab.csv": (LAB, summary_rows),
-    "lab-curves.csv": ([run for run in LAB if run.names["allowed"] == 3000], lab_curve_rows)}
+    "lab.csv": (LAB, summary_rows)}
 PRETRAINED = {  # name -> run with its weights, always seed 0, not the best seed
     "env1": "level2-env1-varied-seed0", "env2": "level2-env2-varied-seed0",
     "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0"}

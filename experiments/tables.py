@@ -80,12 +80,7 @@ def each(values):
 
 
 def mean_and_worst(values):
-    """Returns a cell with the mean percentage of the seeds and the worst in brackets."""
-    return f"{values.mean():.1f} % ({values.min():.1f} %)"
-
-
-def mean_and_least(values):
-    """Returns a cell with the mean of the seeds and, if there are several, the lowest one."""
+    """Returns a cell with the mean of the seeds and, if there are several, the worst one."""
     return text(values.mean()) + (f" ({text(values.min())})" if len(values) > 1 else "")
 
 
@@ -115,14 +110,14 @@ def summary():
 def hidden():
     """Returns success on new targets, with a column for each hidden part of the observation."""
     rows = pd.concat([read("seeds.csv"), read("hidden.csv")]).fillna({"hidden": "nothing"})
-    return grouped(rows, "env way hidden", "new_success", mean_and_least).new_success.unstack()
+    return grouped(rows, "env way hidden", "new_success", mean_and_worst).new_success.unstack()
 
 
 def carry_over():
     """Returns success in unseen rooms, with a row for each training room."""
     random = read("rooms.csv").query("way == 'any-room'").assign(env="random rooms")
     rows = pd.concat([read("carry-over.csv"), random]).query(RANDOM_TARGETS)
-    return grouped(rows, "env room", "success", mean_and_least).success.unstack().sort_index(axis=1)
+    return grouped(rows, "env room", "success", mean_and_worst).success.unstack().sort_index(axis=1)
 
 
 def level3_rooms():
@@ -147,7 +142,7 @@ def level3_planners():
 def lab():
     """Returns the policies in the lab."""
     rows = read("lab.csv").sort_values("allowed").replace({"way": LAB})
-    return grouped(rows, "way allowed", "new_success anywhere_success", mean_and_least)
+    return grouped(rows, "way allowed", "new_success anywhere_success", mean_and_worst)
 
 
 def lab_errors():
@@ -197,7 +192,7 @@ TABLES = {function.__name__.replace("_", "-"): function for function in (summary
     carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
-TABLES |= {name: partial(group_rows, *row, mean_and_least) for name, row in MEANS.items()}
+TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}
 TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "programs")}
 
 

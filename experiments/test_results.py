@@ -17,7 +17,8 @@ import robot.train
 import scenes
 import train
 from experiments import results, runs
-from experiments.runs import LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3, TABLES, Run
+from experiments.runs import (DELTAS, LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3, TABLES,
+                              Run)
 from experiments.tables import ROOT
 from scenes.reality import Reality
 from support.cli import parse
@@ -25,7 +26,7 @@ from support.run_folder import check_config
 from support.runs import RunError
 
 PUBLISHED = set(runs.PRETRAINED.values())
-EVERY = LEVEL_1 + LEVEL_2 + LEVEL_2_ABLATIONS + LEVEL_3 + LAB
+EVERY = LEVEL_1 + LEVEL_2 + LEVEL_2_ABLATIONS + DELTAS + LEVEL_3 + LAB
 RATE = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "timeout": 0.25,
         "spl": 0.12345, "standing": 0.1, "stops": 2.0}
 
@@ -78,7 +79,7 @@ def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folde
                 prepared = evaluating.Examination(options)
                 assert (prepared.folder, prepared.suffix) == (run.folder, f"-{name}")
     folders = {run.folder.name for run in EVERY}
-    assert len(folders) == len(EVERY) == 10 + 20 + 36 + 36 + 26
+    assert len(folders) == len(EVERY) == 10 + 20 + 36 + 9 + 36 + 26
     assert PUBLISHED < folders
 
 
@@ -114,10 +115,11 @@ def test_rows_have_the_numbers_of_the_evaluations_and_the_episodes(folder):
     assert point["success"] == (last.outcome == "arrival").sum() / 100
     assert point["return"] == pytest.approx(last["return"].mean(), abs=0.05)
     assert point["steps"] == last.steps.max()
-    point = runs.lab_curve_rows(LEVEL_2[0])[-1]
-    new = episodes[100:].query("kind == 'new'")
-    assert (point["episodes"], point["new_n"]) == (400, len(new))
-    assert point["new_success"] == round((new.outcome == "arrival").sum() / len(new), 4)
+    finish(DELTAS[0])
+    last = episodes[episodes.kind == "training"][100:200]
+    point = runs.delta_rows(DELTAS[0])[1]
+    assert (point["steps"], point["frozen"]) == (last.steps.max(), 0.333)
+    assert point["success"] == (last.outcome == "arrival").sum() / 100
     finish(LEVEL_1[0])
     assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == ""  # half of them arrive
     episodes.outcome = ["timeout"] * 200 + ["arrival"] * 200
