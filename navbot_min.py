@@ -207,7 +207,7 @@ class NavVecEnv(VectorEnv):
             raise ResetNeeded("step() was called before reset()")
         actions = np.asarray(actions, dtype=float)
         if actions.shape != (self.num_envs, 2) or not np.isfinite(actions).all():
-            raise ValueError(f"actions must be finite numbers of shape ({self.num_envs}, 2), they "
+            raise ValueError(f"actions must be finite numbers of shape ({self.num_envs}, 2); they "
                              f"are {actions}")
         command = self.command(actions)
         before = polar_targets(self.world.poses, self.goals)[:, 0]

@@ -1,4 +1,4 @@
-"""Variants of our learner with parts of the released one. Which variants reach env1's new target from
+"""Variants of our learner with parts of the released one. Does any reach env1's new target from
 one start pose (docs/paper.md)? `python -m experiments.released_learner` trains all of them."""
 
 from contextlib import ExitStack
