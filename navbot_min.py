@@ -1,9 +1,9 @@
 """The task: observations, actions, rewards, and the end of an episode (paper III).
 
 `NavVecEnv` defines the task and runs R robots at once; `NavEnv` is one robot. Both are Gymnasium
-environments. `python navbot_min.py --env env1` drives one robot by a simple rule and draws it. The
-comment after each constant gives its source: 'paper' with the section, or 'released', the authors'
-code and settings, for what the paper leaves out (docs/paper.md).
+environments. `python navbot_min.py --env env1` drives one robot by a simple rule and draws its
+path. The comment after each constant gives its source: 'paper' with the section, or 'released', the
+authors' code and settings, for what the paper leaves out (docs/paper.md).
 
 Axis letters: R robots, H = 48 and W = 64 image rows and columns.
 """
@@ -35,7 +35,7 @@ HIGHEST_REWARD = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVA
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
 UNDER_WAY = -1  # the outcome of an episode that has not ended
-RENDER_FPS = 10  # frames per second; a frame is CONTROL_PERIOD, so four times real time
+RENDER_FPS = 10  # frames per second; one frame per control period, so four times real time
 
 
 def polar_targets(poses, targets):
@@ -147,12 +147,12 @@ class NavVecEnv(VectorEnv):
 
     @staticmethod
     def check_rooms(scenes):
-        """Raises SceneError for a room with a robot's errors, which this class would ignore."""
+        """Raises SceneError for a room that simulates a robot's errors: this class has none."""
         refuse_reality(scenes)
 
     def reset(self, *, seed=None, options=None):
-        """Starts an episode for every robot. options: `target`, an index into the scene's targets,
-        and `start`, a pose (x, y, theta); for all robots or one each. Raises ValueError."""
+        """Starts an episode for every robot. options: `target`, an index into the scene's targets
+        (from the start pose), and `start`, a pose, for all or one each. Raises ValueError."""
         options = check_options(options or {}, self.world.scenes)
         super().reset(seed=seed)
         self._steps = np.zeros(self.num_envs, dtype=int)

@@ -4,8 +4,8 @@ The code uses the letters of the formulas: r ratio, A advantage, gamma discount,
 GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes of a minibatch, B its
 real steps (those that are not padding), N episodes per update, K epochs.
 
-There is no entropy bonus: the standard deviation of the actions is a parameter that starts large,
-shrinks as the policy learns, and is limited towards the end of a run.
+Instead of an entropy bonus, the standard deviation of the actions is a parameter that starts large
+and shrinks as the policy learns. `Training.learn` also limits it.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ class Episode:
     """Observations, actions and rewards of one whole episode, as arrays over its T steps."""
     observations: dict  # name -> (T, ...) array, as the environment returns it
     actions: np.ndarray  # (T, 2) as sampled, before clipping
-    log_probs: np.ndarray  # (T,) of the actions, under the policy that took them
-    values: np.ndarray  # (T,) predicted by the same network
+    log_probs: np.ndarray  # (T,) of the actions, when they were taken
+    values: np.ndarray  # (T,) predicted at the same steps
     rewards: np.ndarray  # (T,) scaled
     last_value: float  # value of the last observation; 0 if the episode was terminated
 
@@ -68,12 +68,12 @@ class Collector:
             info = {name: value[r].item() for name, value in infos["final_info"].items()}
             info["robot"] = int(r)
             ended.append((self._take_episode(r, last_values[r]), info))
-            self._memory[r] = 0  # clear the memory if terminated and if truncated
+            self._memory[r] = 0  # clear the memory after either ending
         self._history = self._history[len(self._history) - self._length.max():]
         return ended
 
     def _take_episode(self, r, last_value):
-        """Returns the episode that robot r has just ended."""
+        """Returns the episode that robot r has just finished."""
         history = self._history[-self._length[r]:]
         steps = {name: np.stack([step[name][r] for step in history]) for name in history[0]}
         observations = {name: steps.pop(name) for name in self._observations}
@@ -142,14 +142,14 @@ def losses(model, batch, eps):
     value_loss = mse_loss(values[mask], batch["returns"][mask])
     with torch.no_grad():
         entropy = distribution.entropy().sum(-1)[mask].mean()
-        kl = (r - 1 - log_r).mean()  # estimator k3, never negative
+        kl = (r - 1 - log_r).mean()  # never negative (Schulman 2020, estimator k3)
         clip_fraction = ((r - 1).abs() > eps).float().mean()
         statistics = torch.stack([policy_loss, value_loss, entropy, kl, clip_fraction])
     return policy_loss, value_loss, statistics
 
 
 def mean_and_std(numbers, total):
-    """Returns mean and standard deviation of the numbers of all processes; (n,) in this one."""
+    """Returns mean and standard deviation over all processes. numbers: (n,), those of this one."""
     sums = torch.tensor([len(numbers), numbers.sum(), (numbers.astype(float) ** 2).sum()])
     count, first, second = total(sums.double()).tolist()
     mean = first / count
@@ -196,6 +196,6 @@ def update(model, optimizer, episodes, config, rng, total=lambda tensor: tensor)
                 raise FloatingPointError("the gradient is not finite")
             optimizer.step()
     statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
-    # An advantage is the error of a value prediction: 1 is perfect prediction, 0 is none.
+    # An advantage is the error of a predicted value. 1 is perfect, 0 no better than the mean.
     statistics["explained_variance"] = 1 - std ** 2 / max(returns_std ** 2, 1e-12)
     return statistics

@@ -21,7 +21,7 @@ from support.textures import BLUE, FLOOR, PERIOD, SKY, TEXEL, light, texture
 
 H, W = 48, 64  # [px] paper III-C
 FOCAL = W / 2 / np.tan(np.radians(60) / 2)  # [px] 60 degrees wide, square pixels, released model
-CAMERA_OFFSET = -0.118  # [m] position ahead of the robot's centre, released model
+CAMERA_OFFSET = -0.118  # [m] ahead of the robot's centre (so behind it), released model
 NEAR = 0.05  # [m] near limit of sight, released model
 FAR = 8.0  # [m] far limit of sight, released model
 CUBE_SIZE = 0.2  # [m] edge of the target cube, released model
@@ -29,7 +29,7 @@ BLOCK = 64  # images painted together, few enough to stay in the cache
 
 # A texture column holds all that one column of the camera can show of a wall: floor below the foot,
 # the wall, sky above the top. It covers the rise and fall of the steepest ray until FAR, so lookups
-# need no clipping: 125 texels below the foot and 147 above, rounded up to whole bricks.
+# need no clipping: 127.3 texels below the foot and 149.8 above, rounded up to multiples of 32.
 EYE = CAMERA_HEIGHT / TEXEL  # [texel] camera height
 STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] largest rise or fall of a ray until FAR
 BELOW = 32 * int(np.ceil((STEEPEST - EYE) / 32))
@@ -52,8 +52,8 @@ def slab(offset, direction):
 class Faces:
     """The faces of boxes visible to several cameras, arrays (F,).
 
-    A ray of slope s hits a face at inverse depth 1/z = a + b s, a straight line in s. So is
-    u/z = e + f s, where u is the position of the hit along the face [texel].
+    A ray of slope s hits a face at inverse depth 1/z = a + b s, linear in s. Likewise,
+    u/z = e + f s, with the position u of the hit along the face [texel].
     """
     a: np.ndarray  # [1/m]
     b: np.ndarray  # [1/m]
@@ -64,7 +64,7 @@ class Faces:
 
 
 class Camera:
-    """Paints images of the given scenes. Any pose gives an image, without errors.
+    """Paints images of the given scenes. No pose raises an error.
 
     All colours are in one flat palette: for each combination of material, height and brightness,
     PERIOD texture columns of COLUMN texels (floor, wall and sky, from below); then a texture with
@@ -139,14 +139,14 @@ class Camera:
         self._paint_above(index, faces, inverse, face_in, depth, nearest)
         offset = (targets[:, 0] + 1j * targets[:, 1] - eye).astype(np.complex64)
         self._paint_cube(index, depth, offset, heading)
-        # All indices are valid. Mode 'wrap' of `take` is the one that does not check them.
+        # All indices are valid. Mode 'wrap' of `take` is faster than the default, which checks.
         packed = self._palette.take(index, mode="wrap").view(np.uint8).reshape(-1, H, W, 4)
         for channel in range(3):
             images[..., channel] = packed[..., channel]
 
     def _visible_faces(self, scene_of, eye, heading):
-        """Returns the Faces (F,) that the cameras may see; face 0 is the end of sight, floor and
-        sky at FAR. For the others also returns the robot and the slopes of both ends."""
+        """Returns the Faces (F,) that the cameras may see; face 0 is the background, floor
+        and sky at FAR. For the others also returns the robot and the slopes of both ends."""
         # Corners in the camera's axes. A face extends from corner p to corner q.
         p = (self._corners[scene_of] - eye[:, None, None]) * heading.conj()[:, None, None]
         q = p[:, :, (1, 2, 3, 0)]  # (R, B, 4)
@@ -183,7 +183,7 @@ class Camera:
         if the ray misses the face; and `face_in` (R, K), the indices of these faces."""
         a = faces.a[1:, None]
         b = faces.b[1:, None]
-        # Both ends belong to a face, which leaves no gap at a corner.
+        # A face includes both of its ends, so adjacent faces leave no gap.
         seen = (SLOPE <= left[:, None]) & (SLOPE >= right[:, None])
         count = np.bincount(robot, minlength=R)  # faces in each image
         first = np.cumsum(count) - count
@@ -204,8 +204,8 @@ class Camera:
         return z, faces.texture[face] + u * COLUMN
 
     def _paint_nearest(self, faces, inverse, face_in):
-        """First phase: each column shows its nearest face. Returns the palette index of each pixel
-        (R, H, W), and the depth [m] and the face of each column (R, W)."""
+        """Paints the nearest face in each column, the first phase. Returns the palette index of
+        each pixel (R, H, W), and the depth [m] and the face of each column (R, W)."""
         R = len(face_in)
         robot, column = np.divmod(np.arange(R * W), W)
         face = face_in[robot, inverse.argmax(1)]
@@ -217,9 +217,9 @@ class Camera:
         return index, z.reshape(R, W), face.reshape(R, W)
 
     def _paint_above(self, index, faces, inverse, face_in, depth, face):
-        """Second phase: above the top of a face the nearest higher face is visible, above that one
-        the next higher, and so on. Paints the rows above the horizon of `index` in place. Each
-        iteration handles the columns (C,) with a higher face; their number shrinks."""
+        """Paints the faces above these, the second phase: above the top of a face the nearest
+        higher face is visible, above that one the next higher, and so on. Changes the rows of
+        `index` above the horizon. Each iteration handles the columns (C,) with a higher face."""
         rows = np.arange(H // 2)[:, None]  # rows above the horizon
         pixels = index.reshape(-1)
         column = np.arange(depth.size)  # columns of all images that are not finished
@@ -232,7 +232,7 @@ class Camera:
             higher = faces.top[face_in[column[low] // W]] > top[low, None]
             inverse = np.where(higher, inverse[low], np.float32(0))
             place = inverse.argmax(1)
-            shown = np.flatnonzero(place)  # place 0 is the end of sight: sky, already painted
+            shown = np.flatnonzero(place)  # place 0 is the background: sky, already painted
             if not len(shown):
                 return
             inverse = inverse[shown]
@@ -266,7 +266,7 @@ class Camera:
         near = np.maximum(enter[robot, column], np.float32(NEAR))[:, None]
         far = leave[robot, column][:, None]
         side = np.where(enter_x > enter_y, np.where(x < 0, 1, 2), np.where(y < 0, 3, 4))
-        to_top = np.float32(CAMERA_HEIGHT - CUBE_SIZE)  # [m] depth of the top face below the eye
+        to_top = np.float32(CAMERA_HEIGHT - CUBE_SIZE)  # [m] drop from the eye to the top face
         on_top = (DROP * far >= to_top) & (DROP * near < to_top)
         on_side = (DROP * near >= to_top) & (DROP * near < np.float32(CAMERA_HEIGHT))
         colour = np.where(on_top, 0, side[robot, column][:, None])

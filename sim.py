@@ -1,7 +1,7 @@
 """The world: rooms, and many robots that drive in them.
 
 pymunk detects collisions between a robot's disc and the walls. The motion is computed here, in
-closed form: between two commands a robot drives a circular arc (`World.drive`).
+closed form: during each command a robot drives a circular arc (`World.drive`).
 
 Frames and units: SI, ROS axes (x forward, y left, heading counter-clockwise), radians in (-pi, pi].
 A pose is (x [m], y [m], theta [rad]). Axis letters: R robots, B boxes per room, P points.
@@ -24,7 +24,7 @@ SUBSTEPS = 4  # collision checks per command, our choice
 CELL = 0.025  # [m] cell size of the grid of reachable places, our choice
 FAR_ENOUGH = 1.0  # [m] minimum distance of a random start from its target, our choice
 PERTURBATION = (0.05, 0.05, math.radians(10))  # [m, m, rad] standard deviations, our choice
-EVERYTHING = pymunk.ShapeFilter()  # a query meets every shape
+EVERYTHING = pymunk.ShapeFilter()  # matches every shape
 
 
 class SceneError(ValueError):
@@ -95,15 +95,15 @@ class Scene:
         return nearest
 
     def fits(self, pose):
-        """Returns whether the robot's disc is free of boxes at a pose (x, y, ...)."""
+        """Returns whether the robot's disc at a pose (x, y, ...) is inside and free of boxes."""
         low, high = self.bounds
         place = np.asarray(pose[:2])
         inside = (low < place).all() and (place < high).all()
         return bool(inside and self.clearance(place) > ROBOT_RADIUS)
 
     def mirrored(self):
-        """Returns the mirror image of the room (x becomes -x), without the new targets. The sun
-        does not move, so its images are the flipped images in a different light."""
+        """Returns the mirror image of the room (x becomes -x), without the new targets. Its images
+        are not quite the flipped images: sun and textures stay as they are."""
         starts = [(-x, y, math.pi - theta) for x, y, theta in (self.start, *self.other_starts)]
         return replace(
             self,
@@ -118,8 +118,8 @@ class Scene:
     def reachable(self):
         """Centres (P, 2) [m] of the grid cells reachable by the robot from its start, sorted by x.
 
-        Found by a flood fill: a passage less than one cell wider than the robot may count as
-        closed. Raises SceneError if the flood leaves the room.
+        Found by a flood fill: a passage less than about 1.5 cells wider than the robot may count
+        as closed. Raises SceneError if the flood leaves the room.
         """
         x, y = [np.arange(low - CELL, high + 2 * CELL, CELL) for low, high in zip(*self.bounds)]
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
@@ -154,7 +154,7 @@ class Scene:
 
     def near(self, place, rng):
         """Perturbs a pose (3,) or place (2,) by PERTURBATION. Draws again until the robot can reach
-        it without a collision, or at least not closer to a box than before."""
+        the result, and it has the robot's radius to all boxes or is no closer than before."""
         while True:
             moved = place + rng.normal(0, PERTURBATION[:len(place)])
             no_nearer = self.clearance(moved[:2]) > min(ROBOT_RADIUS, self.clearance(place[:2]))
@@ -175,7 +175,7 @@ def flood(free, source):
 
 
 class World:
-    """R robots; robot r drives in `scenes[r]`. Robots do not see each other or collide."""
+    """R robots; robot r drives in `scenes[r]`. Robots neither see each other nor collide."""
 
     def __init__(self, scenes):
         """scenes: R Scenes, one per robot. Robots start at the start poses of their scenes."""
@@ -217,8 +217,8 @@ class World:
         """
         v, w = np.array(commands, dtype=float).T
         dt = CONTROL_PERIOD / SUBSTEPS
-        # The chord of the arc points along the heading at half time. Its length is sin(a) / a times
-        # that of the arc, with a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
+        # The chord of the arc points along the heading halfway through the substep. Its length is
+        # sin(a) / a times that of the arc, a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
         chord = v * np.sinc(w * dt / (2 * np.pi))
         hit = np.zeros(len(v), dtype=bool)
         reach = ROBOT_RADIUS + np.abs(v) * CONTROL_PERIOD + 1e-6

@@ -839,7 +839,7 @@ def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_lesson_stays_a_lesson():
+def test_the_lesson_is_short():
     sources = {name: (ROOT / name).read_text() for name in LESSON}
     assert sum(len(source.splitlines()) for source in sources.values()) < 1600
     for name, source in sources.items():

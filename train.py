@@ -23,8 +23,8 @@ from support.run_folder import begin_run, open_folder, report_errors
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # episodes of a rolling success rate, paper IV-B
 FINAL_STD = 0.2  # final standard deviation of actions, relative to the initial one, our choice
-ANNEALING = 0.15  # last fraction of the steps, in which it shrinks to this, our choice
-STAGE = 50_000  # steps of 64 robots between two checkpoints, our choice
+ANNEALING = 0.15  # last fraction of the steps, in which it decays to FINAL_STD, our choice
+STAGE = 50_000  # steps, summed over 64 robots, between two checkpoints, our choice
 COUNT_EVERY = 4  # steps between two counts of the episodes of all processes, our choice
 RULE = f"more than {WINDOW * SUCCESS_RATE:.0f} of the last {WINDOW} test episodes succeed"
 COUNTED = ("stage", "steps", "episodes", "seconds", "arrivals")  # attributes in a checkpoint
@@ -33,12 +33,12 @@ COUNTED = ("stage", "steps", "episodes", "seconds", "arrivals")  # attributes in
 @dataclass
 class Config:
     """A training run. The command line is made from these fields."""
-    env: str = option("env1", "name or file of a room, random:7 (one random room) or random (many)")
+    env: str = option("env1", "name or file of the room, random:7 (one random room), random (many)")
     targets: str = option("both", "level 1, 2 or 3 of the paper, II-B",
                           choices=("memorize", "both", "anywhere"))
-    rooms: int = option(0, "number of random rooms; 0: new ones all the time", 0, 4096)
+    rooms: int = option(0, "number of random rooms; 0: always new ones", 0, 4096)
     seed: int = option(0, "random seed", 0)
-    steps: int = option(500_000, "maximum number of steps, summed over robots", 1, 10 ** 9)
+    steps: int = option(500_000, "most steps, summed over robots (rounded up)", 1, 10 ** 9)
     fixed_budget: bool = option(False, "use all the steps: ignore the paper's stopping rule")
     robots: int = option(64, "R, number of robots that drive in parallel", 1, 4096)
     random_starts: float = option(0.7, "fraction of training episodes with random start", 0.0, 1.0)
@@ -49,7 +49,7 @@ class Config:
     workers: int = option(0, "number of processes; 0: one per core, at most 4", 0, 64)
     epochs: int = option(2, "K of Algorithm 1: passes over the episodes of an update", 1, 1000)
     minibatches: int = option(4, "minibatches of whole episodes per epoch", 1, 4096)
-    learning_rate: float = option(1e-3, "initial learning rate of Adam; shrinks to 0", 1e-9, 1.0)
+    learning_rate: float = option(1e-3, "initial learning rate of Adam; decays to 0", 1e-9, 1.0)
     gamma: float = option(0.99, "discount factor per step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)
     clip: float = option(0.2, "epsilon of Eq. (3), the clip range", 1e-9, 1e9)
@@ -88,7 +88,7 @@ class Training:
         return make_network(config.seed, config.memory, config.without, tuple(MAX_COMMAND.tolist()))
 
     def begin_stage(self):
-        """Drops the current episodes and begins new ones; random rooms are replaced by new ones."""
+        """Drops the current episodes and begins new ones, in random rooms in the next rooms."""
         every = STAGE * self.config.robots / 64
         self.stage = int(self.steps / every)
         self.next_stage = (self.stage + 1) * every
@@ -100,7 +100,7 @@ class Training:
         self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
 
     def success(self, kind):
-        """Returns the success rate of the last 100 episodes to a kind of target; None if none."""
+        """Returns the success rate of the last 100 episodes to a kind of target, None if none."""
         arrivals = self.arrivals[kind]
         return sum(arrivals) / len(arrivals) if arrivals else None
 
@@ -119,8 +119,8 @@ class Training:
         return self.progress() >= 1 or self.stops_by_rule()
 
     def collect(self):
-        """Drives all robots until N episodes to training targets have ended (lines 3 to 6 of
-        Algorithm 1) or the steps are used up. Returns this process's Episodes, and the rows of
+        """Drives all robots until at least N episodes to training targets have ended (lines 3 to 6
+        of Algorithm 1) or the steps are used up. Returns this process's Episodes, and the rows of
         episodes.csv for the episodes of all processes."""
         episodes = []
         rows = []
@@ -159,7 +159,7 @@ class Training:
         del self.arrivals[row["kind"]][:-WINDOW]
 
     def learn(self, episodes):
-        """Makes one update, writes its row of updates.csv and returns it. The learning rate shrinks
+        """Makes one update, writes its row of updates.csv and returns it. The learning rate decays
         linearly to 0 as the budget is used up. The standard deviation of the actions is limited to
         its initial value; in the last part of the budget the limit shrinks to FINAL_STD of it."""
         left = max(1 - self.progress(), 0)
@@ -175,7 +175,7 @@ class Training:
         return row
 
     def state(self):
-        """Returns the state at the start of a stage, for `load_state`. Call it in all processes."""
+        """Returns the state for a checkpoint, for `load_state`. Call it in all processes."""
         counted = {name: getattr(self, name) for name in COUNTED}
         return counted | {"model": self.model.state_dict(),
                           "optimizer": self.optimizer.state_dict(),
@@ -210,7 +210,7 @@ def train(training):
      8              update for K epochs by Eq. (3) and empty the buffer
      9      else:
     10          drive until the episode ends and record only whether the robot arrived
-    11          if more than r of the last 100 such episodes arrived: stop
+    11          if more than a fraction r of the last 100 such episodes arrived: stop
 
     Here R robots drive in parallel, one step at a time.
     """
@@ -256,7 +256,7 @@ def main(argv=None, config_class=Config, training_class=Training):
         config, scenes = begin_run(config, parser, training_class.environment)
         training = parallel.run_together(run, config, scenes, training_class)
         if parallel.rank() == 0:
-            from evaluation.after_training import finish  # the lesson ends here
+            from evaluation.after_training import finish  # this is not part of the lesson
             finish(training, SUCCESS_RATE)
 
 

@@ -80,7 +80,7 @@ class You:
         return np.array([["up" in keys, ("left" in keys) - ("right" in keys)]], float)
 
     def keys(self, seconds):
-        """Returns the keys held or pressed in an interval. Raises RuntimeError if closed."""
+        """Returns the keys held or pressed. Raises RuntimeError if the window is closed."""
         self.pressed.clear()
         until = time.perf_counter() + seconds
         while time.perf_counter() < until:

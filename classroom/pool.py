@@ -42,7 +42,7 @@ def read_drives(folder):
 
 def main(argv=None):
     """Prints the table of a class and draws drives.png: success rate and SPL of each person."""
-    folder = option("drives", "folder with each drives.csv, under any name", positional=True)
+    folder = option("drives", "folder with everyone's drives.csv, under any names", positional=True)
     options, parser = parse({"folder": folder}, "Compare the drives of a class.", argv)
     try:
         drivers = read_drives(options.folder)

@@ -135,7 +135,7 @@ def main(argv=None, options_class=Options):
     if options.planner and (options.hide or options.replay):
         parser.error("--hide and --replay need a policy: a planner has no network")
     if options.hide and options.replay:
-        parser.error("--replay excludes --hide: its page has an episode with a hidden cube")
+        parser.error("--replay cannot be combined with --hide: its page already hides the cube")
     try:
         examined = Examination(options)
         examined.draw(examined.evaluate())

@@ -41,7 +41,7 @@ def spl(success, shortest, metres):
 
 def summarise(traces, paths=None):
     """Returns the fractions of outcomes, the success rate with its 95 % interval, the mean SPL and
-    the mean time to arrive [s]; None without episodes. paths: a ShortestPaths to share."""
+    the mean time to arrive [s]; None if there are no episodes. paths: a ShortestPaths to share."""
     if not traces:
         return None
     paths = paths or ShortestPaths()

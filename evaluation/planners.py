@@ -59,7 +59,7 @@ class Roadmap:
 
     def path(self, start, goal, within=ARRIVAL_DISTANCE):
         """Returns the points (x, y) after the start of the shortest path that ends `within` [m] of
-        the goal, and its length [m]; None and inf without a path."""
+        the goal, and its length [m]; None and inf if there is no path."""
         start = tuple(start)
         graph = self.graph.copy()
         graph.add_node(start)
@@ -124,7 +124,7 @@ class Planner:
 
 
 class Oracle(Planner):
-    """Drives the shortest path, or does not move without one. Knows the whole map."""
+    """Drives the shortest path; does not move if there is none. Knows the whole map."""
 
     @staticmethod
     def prepare(scene, rng):
@@ -183,7 +183,7 @@ class DStar(Planner):
         self.queue = [(self._key(self.target), self.target)]  # a heap; outdated entries stay in it
 
     def act(self, pose, readings):
-        """Drives to the best next cell; straight to the goal if in its cell or without a path."""
+        """Drives to the best next cell; straight to the goal from its cell, or without a path."""
         self.start = self._cell(pose[:2])
         new = self._new_walls(pose, readings)
         changed = {n for s in new for n, _ in self._neighbours(s)} | new

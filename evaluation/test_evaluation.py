@@ -130,7 +130,7 @@ class Grey(NavVecEnv):
 
 
 class HalfSpeed:
-    """A custom driver. `seen` lists for each step whether it knows the target and all is grey."""
+    """A custom driver. `seen` records each step: is the target observed, are all images grey?"""
 
     def __init__(self):
         self.seen = []

@@ -212,7 +212,7 @@ def draw_task(trace):
     draw_room(axes, trace.scene)
     axes.plot(*trace.poses[:, :2].T, color=INK, lw=1.6, alpha=0.6)
     draw_target(axes, trace.scene, trace.goal, ring=True)
-    axes.set_title("path to a new target (in the ring), from above", **TITLE)
+    axes.set_title("path to a new target (circled), from above", **TITLE)
     for k, t in enumerate(moments):
         draw_robot(axes, trace.poses[t])
         note(axes, *trace.poses[t, :2] + (0, 0.32), k + 1, **TITLE)

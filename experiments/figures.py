@@ -224,7 +224,7 @@ def driven(scene, start, seed, commands, **errors):
 
 
 def draw_reality():
-    """Draws each error of the lab separately: camera images, and paths of an S on a floor."""
+    """Draws each error of the lab separately: camera images and S-shaped paths."""
     figure, panels = page(4.2, 2, 5)
     turn = partial(driven, scenes.load("env2"), POSE, 1, [(0.0, 0.5)] * 3)
     images = {f"{error}\n{size}": turn(**{error: size})[0] for error, size in SEEN.items()}

@@ -141,7 +141,7 @@ class CleanRLStyle:
         return steps | {"advantage": A}
 
     def learn(self, total):
-        """Learns from this many steps. A minibatch is some robots. The learning rate falls to 0."""
+        """Learns from this many steps. Minibatches are robots. The learning rate decays to 0."""
         settings = self.settings
         updates = total // (settings.robots * settings.steps)
         for k in range(updates):

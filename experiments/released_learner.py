@@ -192,7 +192,7 @@ class VariedTraining(Training):
 
 def make_training(name, seed):
     """Returns the VariedTraining of a variant: one start pose, one room, a fixed budget."""
-    # The other settings are those of our learner when results/released_learner.csv was made.
+    # The other settings are those that our learner had when results/released_learner.csv was made.
     config = Config(seed=seed, steps=STEPS, fixed_budget=True, random_starts=0.0, mirrored=0.0,
                     robots=32, episodes_per_update=32, learning_rate=6e-4,
                     lam=1.0 if "no-baseline" in VARIANTS[name] else Config.lam)

@@ -104,7 +104,7 @@ def code_pieces(text):
 
 @functools.cache
 def help_of(program):
-    """Returns the --help text of a program of ours: `train.py` or `experiments.results`."""
+    """Returns the --help text of one of our programs: `train.py` or `experiments.results`."""
     name = program.removesuffix(".py")
     if (ROOT / name / "__main__.py").is_file():
         name += ".__main__"
@@ -155,6 +155,18 @@ def test_the_commands_files_and_links_of_a_page_exist(page):
         linked = page.parent / name if name else page
         if not re.match(r"\w+:", target):  # https:, mailto:
             assert linked.exists() and (not anchor or anchor in anchors(linked)), target
+
+
+def test_the_reading_order_has_the_lines_of_the_functions():
+    rows = re.findall(r"^\| `(\w+\.py)` \|.*\| (.*) \|$", PAGES[0].read_text(encoding="utf-8"),
+                      re.MULTILINE)
+    ranges = [(file, *place) for file, cell in rows
+              for place in re.findall(r"`(\w+)` \((\d+) to (\d+)\)", cell)]
+    assert len(ranges) > 5
+    for file, name, first, last in ranges:
+        tree = ast.walk(ast.parse((ROOT / file).read_text(encoding="utf-8")))
+        assert (int(first), int(last)) in [(node.lineno, node.end_lineno) for node in tree
+                                           if getattr(node, "name", "") == name], (file, name)
 
 
 @pytest.mark.parametrize("name", ["Makefile", ".ci/run"])

@@ -8,7 +8,7 @@ from scenes.generate import range_readings
 from sim import CONTROL_PERIOD, ROBOT_RADIUS
 
 SENSORS = 24  # evenly spaced, the first one ahead; all these numbers are our choice
-ANGLES = np.arange(SENSORS) * 2 * np.pi / SENSORS  # [rad] counter-clockwise from ahead
+ANGLES = np.arange(SENSORS) * 2 * np.pi / SENSORS  # [rad] counter-clockwise from straight ahead
 CONE = np.radians(15)  # [rad] width of a cone, as of an HC-SR04; the cones leave no gap
 RAYS = np.array([-0.5, 0.0, 0.5]) * CONE  # [rad] the rays measured in each cone
 RANGE = 2.0  # [m] from the robot's rim, the largest reading
@@ -29,8 +29,8 @@ def listen(world):
 
 def is_blocked(readings, commands):
     """Returns whether an obstacle in the readings (..., S) [m] blocks commands (..., 2) [m/s,
-    rad/s]: their path leads nearer to it, into the margin around the disc. An obstacle is assumed
-    in the middle of its cone, and at the rim if its reading is missing or not above 0."""
+    rad/s]: the path comes closer to it, within the margin around the disc. Each obstacle is assumed
+    in the middle of its cone; if its reading is missing or not above 0, at the robot's rim."""
     v, w = np.moveaxis(np.asarray(commands)[..., None], -2, 0)  # (..., 1) each
     # Next positions in the robot's axes, (..., P) as x + iy [m]: ends of the chords of an arc.
     turned = w * MOMENTS

@@ -22,7 +22,7 @@ def test_an_exported_policy_acts_like_the_network_for_whole_episodes(memory, wit
     for _ in range(90):
         of_one = {key: value[0] for key, value in seen.items()}
         action, exported = [policy.act(of_one) for policy in policies]
-        assert np.allclose(action, exported, rtol=0, atol=1e-6)  # untrained actions vary little
+        assert np.allclose(action, exported, rtol=0, atol=1e-6)  # untrained policies vary little
         seen, _, [terminated], [truncated], _ = env.step(action[None])
         if terminated or truncated:
             for policy in policies:

@@ -47,9 +47,9 @@ class Training(train.Training):
 
 
 def kept_weights(config):
-    """Returns the weights of `config.init` that training keeps, by name; {} if empty or if the run
-    resumes. The last layers and the standard deviations start from scratch: in a room that looks
-    different the robot might stand still, with too little noise to learn. Raises RunError."""
+    """Returns the weights of `config.init` that training keeps, by name; {} if it is empty or the
+    run resumes. The last layers and the standard deviations start from scratch: in a room that
+    looks different the robot might stand still, with too little noise to learn. Raises RunError."""
     if not config.init or (config.resume and Path(config.resume, CHECKPOINT).exists()):
         return {}
     given, _ = load_model(config.init)

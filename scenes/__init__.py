@@ -38,8 +38,8 @@ def find(name):
 
 
 def load(name_or_path):
-    """Returns the Scene of a name in `scenes/`, of `random:SEED`, or of the path of a scene file or
-    a Gazebo world. Raises SceneError with one sentence that names the file and the item."""
+    """Returns the Scene for a name in `scenes/`, for `random:SEED`, or for the path of a scene file
+    or a Gazebo world. Raises SceneError with one sentence that names the file and the item."""
     name = str(name_or_path)
     path = find(name)
     if path is None:
@@ -68,7 +68,7 @@ def rebuild(fields):
 
 
 def parse(table, name, in_degrees=True):
-    """Returns the Scene of a dict with the content of a scene file, with angles in degrees or in
+    """Returns the Scene described by the content of a scene file, with angles in degrees or in
     radians. Raises SceneError."""
     check_keys(table, ("start", "boxes", "training_targets", "new_targets"), "the scene",
                optional=("other_starts", "reality"))

@@ -25,7 +25,7 @@ def facts(scene):
 
 
 def draw(scene):
-    """Returns a Figure of the room and of the camera image at the start, with a ringed target."""
+    """Returns a Figure of the room and of the camera image at the start, with a circled target."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     above, camera = figure.subplots(1, 2, width_ratios=(3, 2))
     target = scene.training_targets[0]
@@ -52,7 +52,7 @@ def main(argv=None):
         parser.error(error)
     print(f"{scene.name}.png", facts(scene), sep="\n")
     if options.scene.lower().endswith(WORLDS):
-        print("start and targets: chosen, because the file has none")
+        print("start and targets were chosen automatically, because the file has none")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim import ROBOT_RADIUS, Scene, SceneError, flood
 
-GRID = 0.05  # [m] cell size of the grid on which the start is searched
+GRID = 0.05  # [m] cell size of the grid on which the start is searched for
 MARGIN = 0.1  # [m] minimum gap between a robot at a target and any box, as in the paper's rooms
 APART = 0.2  # [m] minimum distance between targets, and to the start; above ARRIVAL_DISTANCE
 TIE = 1e-6  # [m] distances that differ by less count as equal

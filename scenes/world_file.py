@@ -14,7 +14,7 @@ from sim import SceneError, wrap_angle
 MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # all others, or none: wall
 UPRIGHT = 1e-3  # [rad] roll and pitch up to this count as 0, our choice
 ON_FLOOR = 0.01  # [m] distances from the floor up to this count as 0, our choice
-LEFT_OUT = {"model://sun", "model://ground_plane"}  # models of Gazebo that have no walls
+LEFT_OUT = {"model://sun", "model://ground_plane"}  # Gazebo models without walls
 
 
 def parse_world(text, name):
@@ -68,7 +68,7 @@ def boxes_of_model(model, world):
 
 
 def last_statements(model):
-    """Returns a dict of the links of a model by name, or by number without one. The last wins."""
+    """Returns a dict of the links of a model by name, or by number if unnamed. The last wins."""
     return {link.get("name", k): link for k, link in enumerate(model.findall("link"))}
 
 
@@ -99,7 +99,7 @@ def boxes_of_link(link, place, what):
 
 
 def pose_of(element, what, otherwise=(0.0, 0.0, 0.0, 0.0)):
-    """Returns the pose (x, y, z, yaw) [m, rad] of an upright element, `otherwise` without one."""
+    """Returns the pose (x, y, z, yaw) [m, rad] of an upright element; `otherwise` by default."""
     pose = element.find("pose")
     if pose is None:
         return otherwise

@@ -35,7 +35,7 @@ class EpisodeView:
         self._axes.axis("off")
         self._text = partial(figure.text, fontsize=10, transform=None)  # None: in pixels
         target = f"{kind_of(scene, goal)} target".removeprefix("goal ")
-        self._text(MAP[0], BELOW, f"blue cube in the ring: {target}")
+        self._text(MAP[0], BELOW, f"blue cube, circled: {target}")
         self._text(CAMERA_CORNER[0], ABOVE, f"camera image{pace}")
         self._text(CAMERA_CORNER[0], BELOW, label)
         self._canvas.draw()

@@ -26,7 +26,7 @@ def available_cores():
 
 
 def torchrun(name):
-    """Returns an integer environment variable of torchrun; 0 without torchrun."""
+    """Returns an integer that torchrun sets in the environment; 0 if it is not used."""
     return int(os.environ.get(name, 0))
 
 

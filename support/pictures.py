@@ -139,7 +139,7 @@ def draw_demo(scene, traces):
     draw_robot(axes, trace.start)
     moments = np.linspace(0, len(trace.images) - 1, 6).astype(int)
     camera.imshow(np.hstack(trace.images[moments]))
-    camera.set_title("camera images on the path to the target in the ring, from start to end")
+    camera.set_title("camera images on the path to the circled target, from start to end")
     camera.axis("off")
     legend_of_paths(figure, scene, traces)
     return figure

@@ -11,7 +11,7 @@ from sim import Scene
 
 RANDOM = "random"  # the value of `--env`
 VALIDATION_ROOMS = 16  # random:0 to random:15, never trained on, our choice
-FIRST_ROOM = 1_000_000  # a run with seed k trains in rooms from random:(k + 1) * FIRST_ROOM
+FIRST_ROOM = 1_000_000  # a run with seed k trains in rooms numbered from (k + 1) * FIRST_ROOM up
 DRAWS = 3  # draws of a start, at most, until a box blocks the straight line to the goal, our choice
 
 

@@ -75,14 +75,14 @@ class RunFolder(ExitStack):
                 pass  # this file system has no locks
 
     def load_checkpoint(self):
-        """Loads `state` from the last checkpoint, None without one, and cuts the tables back to it.
+        """Loads `state` (or None) from the last checkpoint, and cuts the tables back to it.
         Nothing in the file is executed. Raises RunError, OSError."""
         file = self.path / CHECKPOINT
         saved = {"state": None, "sizes": [0, 0]}
         if file.exists():
             try:
                 with zipfile.ZipFile(file) as archive:
-                    if archive.testzip():  # torch does not compare checksums
+                    if archive.testzip():  # torch does not verify checksums
                         raise ValueError
                 saved = torch.load(file, "cpu", weights_only=True)
             except Exception as error:  # an error of zipfile, pickle or torch
