@@ -30,7 +30,7 @@ from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, d
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
-WAYS = {"one-start": "one start pose", "varied": "random starts, mirrored rooms"}  # way: label
+WAYS = {"one-start": "one start pose", "varied": "random starts, mirrored room"}  # way: label
 SIX = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")  # by Okabe and Ito
 
 
@@ -254,15 +254,16 @@ def draw_appearances():
     return figure
 
 
-def draw_delta(deltas, delta, label):
-    """Draws the success rate against steps of the lesson and of a variant, three seeds each."""
+def draw_delta(deltas, delta, part):
+    """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
-    for name, colour, text in (("lesson", "paper", "the lesson"), (delta, "run", label)):
+    for name, colour, text in (("lesson", "robot", f"with {part}"),
+                               (delta, "run", f"without {part}")):
         runs = deltas[deltas.delta == name].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
                       label=text if style == "-" else None)
-    axes.set(title=f"env1, three seeds: the lesson and {label}", ylim=(-2, 103),
+    axes.set(title="env1, three seeds (solid, dashed, dotted)", ylim=(-2, 103),
              xlabel="steps, summed over robots",
              ylabel=f"success rate, training targets,\nlast {WINDOW} episodes [%]")
     axes.grid(alpha=0.3)
@@ -347,8 +348,8 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
     "episode.gif": lambda: film_episode(*pretrained("env1")),
-    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "lambda = 1 (no GAE)"),
-    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "no clipping"),
+    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "GAE"),
+    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "clipping"),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "any-room.png": draw_any_room,

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 
 from render import CUBE_SIZE
-from sim import ROBOT_RADIUS
+from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS
 from support.runs import read_table, write
 
 if "matplotlib.pyplot" not in sys.modules:  # programs that use pyplot keep their settings
@@ -83,11 +83,11 @@ def kind_of(scene, goal):
 
 def draw_target(axes, scene, goal, ring=False, **style):
     """Draws the cube at the goal (2,) [m], blue for training targets and green for new ones
-    (Fig. 3). ring: draws a ring around the target of the shown episode."""
+    (Fig. 3). ring: draws the circle around it within which the robot arrives."""
     style = {"fc": PALETTE[kind_of(scene, goal)], "ec": "white", "lw": 0.6, "zorder": 3.6} | style
     axes.add_patch(Rectangle(np.subtract(goal, CUBE_SIZE / 2), CUBE_SIZE, CUBE_SIZE, **style))
     if ring:
-        axes.add_patch(Circle(goal, 1.05 * CUBE_SIZE, fill=False, ec=PALETTE["robot"], zorder=3.7))
+        axes.add_patch(Circle(goal, ARRIVAL_DISTANCE, fill=False, ec=PALETTE["robot"], zorder=3.7))
 
 
 def draw_robot(axes, pose):
