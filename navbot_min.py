@@ -49,7 +49,7 @@ def polar_targets(poses, targets):
 
 def rewards(before, after, arrived, failed):
     """Returns the rewards (R,) of Eq. (4). before, after: distances to the target [m] before and
-    after the step. arrived, failed: (R,) bool; a failure is a collision, arrival comes first."""
+    after the step. arrived, failed (collided): (R,) bool; an arrival takes precedence."""
     progress = PROGRESS_REWARD * (before - after) - STEP_COST
     return np.where(arrived, ARRIVAL_REWARD, np.where(failed, COLLISION_REWARD, progress))
 

@@ -29,7 +29,7 @@ ROOMS = [scenes.parse(THIN, "thin walls"), *map(scenes.load, ("env2", "maze3", "
 
 
 def extreme_actions(rng, seen):
-    """Returns actions (R, 2). Each robot drives in one of nine ways, given by its index."""
+    """Returns actions (R, 2). Each robot drives in one of eight ways, chosen by its index."""
     R = len(seen["target"])
     actions = TurnToTarget().act(None, seen).astype(float)
     ways = [rng.uniform((0, -1), (1, 1), (R, 2)), np.tile((1, 0), (R, 1)), np.tile((1, 1), (R, 1)),
