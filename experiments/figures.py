@@ -257,15 +257,13 @@ def draw_appearances():
 def draw_delta(deltas, delta, part):
     """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
-    for name, colour, text in (("lesson", "robot", f"with {part}"),
-                               (delta, "run", f"without {part}")):
+    for name, colour, text in (("lesson", "robot", "with"), (delta, "run", "without")):
         runs = deltas[deltas.delta == name].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
-                      label=text if style == "-" else None)
+                      label=f"{text} {part}" if style == "-" else None)
     axes.set(title="env1, three seeds (solid, dashed, dotted)", ylim=(-2, 103),
-             xlabel="steps, summed over robots",
-             ylabel=f"success rate, training targets,\nlast {WINDOW} episodes [%]")
+             xlabel="steps, summed over robots", ylabel="success rate, training targets [%]")
     axes.grid(alpha=0.3)
     legend_below(figure, ncols=2)
     return figure

@@ -176,8 +176,7 @@ def curve_rows(run):
 
 
 def delta_rows(run):
-    """Returns a run's rows of deltas.csv, one per 100 training episodes. frozen: success rate of
-    the final policy with random starts and targets."""
+    """Returns a run's rows of deltas.csv, one per 100 training episodes."""
     frozen = round(run.read("evaluation-anywhere.json")["anywhere"]["success"], 3)
     points = [row for row in curve_rows(run) if row["kind"] == "training"]
     return [run.names | {"steps": row["steps"], "success": row["success"], "frozen": frozen}

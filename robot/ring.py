@@ -19,8 +19,7 @@ MOMENTS = np.linspace(0, CONTROL_PERIOD + LONGER, 9)  # (P,) [s] times at which 
 
 
 def listen(world):
-    """Returns the range readings (R, S) [m] of R robots, from the rim; NaN in the blind zone.
-    world: a sim.World."""
+    """Returns the range readings (R, S) [m] in a sim.World, from the rim; NaN if too close."""
     rays = (ANGLES[:, None] + RAYS).ravel()
     exact = range_readings(world, rays, RANGE + ROBOT_RADIUS)  # (R, S * 3)
     nearest = exact.reshape(len(exact), SENSORS, len(RAYS)).min(2) - ROBOT_RADIUS

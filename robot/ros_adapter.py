@@ -1,6 +1,7 @@
 """An adapter for ROS 2, never run: this project has neither a robot nor a machine with ROS."""
 
 import time
+from functools import partial
 
 import numpy as np
 import rclpy
@@ -28,8 +29,7 @@ class RosRobot(Node):
         self.create_subscription(Image, "/camera/image_raw", self.on_image, sensors)
         self.create_subscription(Odometry, "/odom", self.on_odometry, sensors)
         for k in range(24):
-            self.create_subscription(Range, f"/sonar_{k}", lambda message, k=k:
-                                     self.on_range(k, message), sensors)
+            self.create_subscription(Range, f"/sonar_{k}", partial(self.on_range, k), sensors)
         self.wheels = self.create_publisher(Twist, "/cmd_vel", 1)
 
     def now(self):
