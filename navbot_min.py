@@ -318,11 +318,10 @@ class NavEnv(gym.Env):
         return self.__dict__ | {"_screen": None}  # a copy makes its own
 
 
-for _name in scene_files.names():
-    if _name != "lab":  # the room with a robot's errors is robot:NavBot-lab-v0
-        gym.register(f"NavBot-{_name}-v0", entry_point="navbot_min:NavEnv",
-                     vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
-                     max_episode_steps=MAX_EPISODE_STEPS)
+for _name in set(scene_files.names()) - {"lab"}:  # the lab is robot:NavBot-lab-v0
+    gym.register(f"NavBot-{_name}-v0", entry_point="navbot_min:NavEnv",
+                 vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
+                 max_episode_steps=MAX_EPISODE_STEPS)
 
 
 if __name__ == "__main__":

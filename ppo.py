@@ -87,7 +87,6 @@ class Collector:
         robots = np.flatnonzero(truncated)
         if len(robots):
             final = {key: value[robots] for key, value in infos["final_obs"].items()}
-            # Only the values are used, not the actions.
             _, _, _, last_values, _ = self.model.act(final, self._memory[robots], self.generator)
             values[robots] = last_values.numpy()
         return values

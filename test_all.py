@@ -429,13 +429,13 @@ def test_the_step_limit_is_the_requested_one(mode):
             assert env.spec.max_episode_steps == limit
         else:
             env = gym.make_vec(name, num_envs=1, vectorization_mode=mode, **arguments)
-        env.reset(seed=0)
+        _, info = env.reset(seed=0)
+        assert info.get("outcome", navbot_min.UNDER_WAY) == navbot_min.UNDER_WAY
         for length in range(1, limit + 1):
             _, _, _, truncated, info = env.step(np.zeros(env.action_space.shape))
             assert np.all(truncated) == (length == limit)
         info = info.get("final_info", info)
-        is_inside = mode == "vector_entry_point"  # otherwise a wrapper truncates
-        expected = navbot_min.TIMEOUT if is_inside else navbot_min.UNDER_WAY
+        expected = {"vector_entry_point": navbot_min.TIMEOUT}.get(mode, navbot_min.UNDER_WAY)
         assert info["length"] == limit and info["outcome"] == expected
         env.close()
 
@@ -817,15 +817,16 @@ def test_the_rule_needs_more_than_60_arrivals_in_100_test_episodes(arrivals, fai
     assert training.stops_by_rule() is met
 
 
-def test_the_standard_deviation_shrinks_to_a_fifth_in_the_last_15_percent_of_the_steps(monkeypatch):
+def test_learning_rate_and_standard_deviation_decay_with_the_budget(monkeypatch):
     fractions = []
-    monkeypatch.setattr(train, "update", lambda *_: {})
+    monkeypatch.setattr(train, "update", lambda _, adam, *__: {"lr": adam.param_groups[0]["lr"]})
     monkeypatch.setattr(model.Network, "limit_std", lambda self, limit: fractions.append(limit))
     training = train_on(train.Config(steps=2000, fixed_budget=True, robots=16, minibatches=1,
                                      episodes_per_update=2))
-    steps = [row["steps"] for row in training.folder.updates]
+    steps, rates = zip(*((row["steps"], row["lr"]) for row in training.folder.updates))
     assert fractions == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
     assert min(steps) < 1700 and sum(1700 < s < 2000 for s in steps) >= 2
+    assert rates == pytest.approx(1e-3 * (1 - np.array(steps) / 2000))
 
 
 def test_the_demo_needs_no_torch_and_writes_its_picture(tmp_path):

@@ -37,7 +37,7 @@ class Config:
     targets: str = option("both", "level 1, 2 or 3 of the paper, II-B",
                           choices=("memorize", "both", "anywhere"))
     rooms: int = option(0, "number of random rooms; 0: always new ones", 0, 4096)
-    seed: int = option(0, "random seed", 0)
+    seed: int = option(0, "random seed", 0, 10 ** 9)
     steps: int = option(500_000, "most steps, summed over robots (rounded up)", 1, 10 ** 9)
     fixed_budget: bool = option(False, "use all the steps: ignore the paper's stopping rule")
     robots: int = option(64, "R, number of robots that drive in parallel", 1, 4096)
@@ -215,10 +215,12 @@ def train(training):
     Here R robots drive in parallel, one step at a time.
     """
     begin = time.perf_counter() - training.seconds
+    config = training.config
+    tests = config.targets == "both" or training.rooms.is_watched(config.robots - 1)
     shown = "{n_fmt} steps [{elapsed}, {rate_fmt}{postfix}], stops when " + RULE
-    with tqdm(initial=training.steps, total=training.config.steps, unit=" steps", mininterval=0.5,
+    with tqdm(initial=training.steps, total=config.steps, unit=" steps", mininterval=0.5,
               disable=parallel.rank() > 0,
-              bar_format=None if training.config.fixed_budget else shown) as bar:
+              bar_format=None if config.fixed_budget or not tests else shown) as bar:
         while not training.is_over():  # line 2
             if training.steps >= training.next_stage:
                 training.save()

@@ -29,7 +29,7 @@ class Options:
     protocol: str = option("", "default: start; for level 3: anywhere", choices=PROTOCOLS)
     hide: str = option("", "hide this part of the target from the policy", choices=HIDDEN)
     episodes: int = option(1000, "per kind of target; for anywhere, in total", 1, 10 ** 5)
-    seed: int = option(0, "random seed", 0)
+    seed: int = option(0, "random seed", 0, 10 ** 9)
     workers: int = option(0, "number of processes, for a policy; 0: one per core", 0, 64)
     replay: bool = option(False, "also write replay.html: episodes with the network's activity")
     json: bool = option(False, "print only the evaluation, as JSON")

@@ -334,6 +334,8 @@ def test_the_default_protocol_is_that_of_the_run_and_keeps_level_3_results_of_tr
     (run / "evaluation.json").write_text("written by training")
     main(["run", "--episodes", "1", "--workers", "1", *options])
     protocol = file.removesuffix(".json").partition("-")[2] or "start"
-    assert json.loads((run / file).read_text())["protocol"] == protocol
+    written = json.loads((run / file).read_text())
+    assert written["protocol"] == protocol
+    assert written["actions"] == ("sampled" if protocol == "start" else "mean")
     kept = (run / "evaluation.json").read_text() == "written by training"
     assert kept == (file != "evaluation.json")

@@ -205,9 +205,8 @@ def draw_any_room_floor():
 
 
 POSE = (0.5, -2.2, 3.3)  # in env2, from which the images are seen
-# Names as in a room's file, values larger than in the lab.
 SEEN = {"appearance": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75),
-        "camera_yaw_degrees": 6, "camera_pitch_degrees": -6, "image_delay": 1}
+        "camera_yaw_degrees": 6, "camera_pitch_degrees": -6, "image_delay": 1}  # exaggerated
 DRIVEN = {"distance_drift": 0.15, "turn_drift": 0.15, "wheel_gains": (1, 0.93)}
 
 

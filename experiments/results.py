@@ -26,7 +26,7 @@ from support.weights import FILE, load_model
 OPTIONS = {
     "level": option("", "only this level of the paper, the lab or the planners (default: all)",
                     choices=("1", "2", "3", "lab", "planners")),
-    "ablations": option(False, "also make the ablations of level 2, seeds 0 to 2"),
+    "ablations": option(False, "also make the ablations and variants of level 2, seeds 0 to 2"),
     "jobs": option(2, "number of runs at a time, each on one core", 1, 64)}
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import os
+from io import BytesIO
 from pathlib import Path
 
 
@@ -16,14 +17,15 @@ class ProcessLost(RuntimeError):
 def write(path, content):
     """Writes a whole file or none: writes it to disk under another name, and then renames it.
     content: text, bytes, or a function that writes to a binary file. Raises OSError."""
+    if callable(content):
+        buffer = BytesIO()  # torch would hide the error of a full disk
+        content(buffer)
+        content = buffer.getvalue()
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(partial, "wb") as file:
-            if callable(content):
-                content(file)
-            else:
-                file.write(content.encode() if isinstance(content, str) else content)
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)

@@ -35,7 +35,7 @@ def refusal(main, argv, capsys):
     (TRAIN, "--steps 0", "--steps: '0' is not a whole number from 1 to 1,000,000,000"),
     (TRAIN, "--steps=", "--steps: '' is not a whole number"),
     (TRAIN, "--steps --seed 1", "--steps: expected one argument"),
-    (TRAIN, "--seed -1", "--seed: '-1' is not a whole number of at least 0"),
+    (TRAIN, "--seed -1", "--seed: '-1' is not a whole number from 0 to 1,000,000,000"),
     (TRAIN, "--robots 64.0", "--robots: '64.0' is not a whole number from 1 to 4,096"),
     (TRAIN, "--clip inf", "--clip: 'inf' is not a number from 1e-09 to 1,000,000,000"),
     (TRAIN, "--step 5", "unrecognized arguments: --step 5"),  # not an abbreviation of --steps

@@ -74,6 +74,7 @@ def test_a_run_under_way_has_its_newest_weights_on_disk(saved, tmp_path):
     ("value_head.bias", torch.tensor([torch.nan]), {}, "its weights are not all finite"),
     ("other", torch.zeros(1), {}, "Unexpected key(s) in state_dict: \"other\""),
     (None, None, {"memory": "big"}, "it is not a network of this version"),
+    (None, None, {"format": "navbot_min 2"}, "it is not a network of this version"),
     (None, None, {"scenes": 3}, "")])
 def test_a_bad_weights_file_gives_one_sentence_with_the_reason(name, value, about, words, saved,
                                                                tmp_path):
