@@ -145,8 +145,8 @@ class Camera:
             images[..., channel] = packed[..., channel]
 
     def _visible_faces(self, scene_of, eye, heading):
-        """Returns the Faces (F,) that the cameras may see; face 0 is the background, floor
-        and sky at FAR. For the others also returns the robot and the slopes of both ends."""
+        """Returns the Faces (F,) that the cameras may see; face 0 is the background (floor, sky) at
+        FAR. For the others also returns the robot and the slopes of both ends."""
         # Corners in the camera's axes. A face extends from corner p to corner q.
         p = (self._corners[scene_of] - eye[:, None, None]) * heading.conj()[:, None, None]
         q = p[:, :, (1, 2, 3, 0)]  # (R, B, 4)

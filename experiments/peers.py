@@ -1,4 +1,4 @@
-"""Learners of other projects with this environment and a network of the same size: RecurrentPPO of
+"""Learners from other projects in this environment and a network of the same size: RecurrentPPO of
 Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`) and a loop in the
 style of CleanRL. Both learn from every step. Axis letters: R robots, T steps of an update."""
 
