@@ -17,7 +17,7 @@ HIDDEN = 256  # units of each LSTM and of the dense layer, paper Fig. 2
 FEATURES = 32  # outputs of the CNN, paper Fig. 2
 TARGET = 2  # distance and bearing
 LAST = 3  # last velocity (2) and last reward (1), a_{t-1} of paper III-B
-BATCH_MULTIPLE = 16  # of most batches' sizes: torch caches memory for each size
+BATCH_MULTIPLE = 16  # of most batch sizes: torch caches memory for each size
 IMAGE_MEAN, IMAGE_SCALE = 115.0, 64.0  # our choice: scales colours to -1.8 .. 2.2
 TARGET_SCALE = 0.3  # [1/m, 1/rad] our choice
 REWARD_SCALE = 0.01  # our choice: scales rewards, and thus values, to about 1
@@ -39,7 +39,7 @@ def orthogonal(layer, gain=1.0):
 def make_cnn():
     """Returns the CNN of Fig. 2: colours (B, 3, H, W) -> (B, FEATURES).
 
-    Kernels are (height, width). The second and third convolution need one row of padding; torch
+    Kernels are (height, width). The second and third convolutions need a row of padding; torch
     pads both sides, and the stride never reaches the lower one.
     """
     cnn = nn.Sequential(

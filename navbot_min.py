@@ -30,7 +30,7 @@ MAX_EPISODE_STEPS = 200  # 80 s, our choice; the released script has 1000
 MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad/s]
 LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the maxima
 HIGHEST_ACTION = np.array([1.0, 1.0])
-FARTHEST = 100.0  # [m] upper bound of the observed distance in every room, our choice
+FARTHEST = 100.0  # [m] upper bound on the observed distance in every room, our choice
 HIGHEST_REWARD = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
@@ -152,7 +152,7 @@ class NavVecEnv(VectorEnv):
 
     def reset(self, *, seed=None, options=None):
         """Starts an episode for every robot. options: `target`, an index into the scene's targets
-        (from the start pose), and `start`, a pose, for all or one each. Raises ValueError."""
+        (from the start pose), and `start`, a pose, shared or per robot. Raises ValueError."""
         options = check_options(options or {}, self.world.scenes)
         super().reset(seed=seed)
         self._steps = np.zeros(self.num_envs, dtype=int)
@@ -249,7 +249,7 @@ class NavVecEnv(VectorEnv):
 class NavEnv(gym.Env):
     """One robot: `NavVecEnv` with R = 1, without the robot axis and without autoreset. `info` holds
     pose, command and `NavVecEnv.episode_info` at every step. `gymnasium.make` adds the limit of 200
-    steps by a wrapper; when the wrapper truncates an episode, `outcome` is still UNDER_WAY."""
+    steps as a wrapper; when the wrapper truncates an episode, `outcome` is still UNDER_WAY."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
     vector_class = NavVecEnv  # a subclass names its own

@@ -28,10 +28,10 @@ CUBE_SIZE = 0.2  # [m] edge of the target cube, released model
 BLOCK = 64  # images painted together, few enough to stay in the cache
 
 # A texture column holds all that one column of the camera can show of a wall: floor below the foot,
-# the wall, sky above the top. It covers the rise and fall of the steepest ray until FAR, so lookups
+# the wall, sky above the top. It covers the rise and fall of the steepest ray up to FAR, so lookups
 # need no clipping: 127.3 texels below the foot and 149.8 above, rounded up to multiples of 32.
 EYE = CAMERA_HEIGHT / TEXEL  # [texel] camera height
-STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] largest rise or fall of a ray until FAR
+STEEPEST = FAR * H / 2 / FOCAL / TEXEL  # [texel] largest rise or fall of a ray up to FAR
 BELOW = 32 * int(np.ceil((STEEPEST - EYE) / 32))
 ABOVE = 32 * int(np.ceil((STEEPEST + EYE) / 32))
 COLUMN = BELOW + ABOVE
@@ -217,7 +217,7 @@ class Camera:
         return index, z.reshape(R, W), face.reshape(R, W)
 
     def _paint_above(self, index, faces, inverse, face_in, depth, face):
-        """Paints the faces above these, the second phase: above the top of a face the nearest
+        """Paints faces above the nearest, the second phase: above a face's top the nearest
         higher face is visible, above that one the next higher, and so on. Changes the rows of
         `index` above the horizon. Each iteration handles the columns (C,) with a higher face."""
         rows = np.arange(H // 2)[:, None]  # rows above the horizon

@@ -95,7 +95,7 @@ class Scene:
         return nearest
 
     def fits(self, pose):
-        """Returns whether the robot's disc at a pose (x, y, ...) is inside and free of boxes."""
+        """Returns whether the robot's disc at a pose (x, y, ...) is inside, clear of boxes."""
         low, high = self.bounds
         place = np.asarray(pose[:2])
         inside = (low < place).all() and (place < high).all()
@@ -154,7 +154,7 @@ class Scene:
 
     def near(self, place, rng):
         """Perturbs a pose (3,) or place (2,) by PERTURBATION. Draws again until the robot can reach
-        the result, and it has the robot's radius to all boxes or is no closer than before."""
+        the result, and it is the robot's radius from all boxes or no closer than before."""
         while True:
             moved = place + rng.normal(0, PERTURBATION[:len(place)])
             no_nearer = self.clearance(moved[:2]) > min(ROBOT_RADIUS, self.clearance(place[:2]))

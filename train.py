@@ -88,7 +88,7 @@ class Training:
         return make_network(config.seed, config.memory, config.without, tuple(MAX_COMMAND.tolist()))
 
     def begin_stage(self):
-        """Drops the current episodes and begins new ones, in random rooms in the next rooms."""
+        """Drops the current episodes and begins new ones; random rooms are changed."""
         every = STAGE * self.config.robots / 64
         self.stage = int(self.steps / every)
         self.next_stage = (self.stage + 1) * every
@@ -111,7 +111,7 @@ class Training:
         return enough and not self.config.fixed_budget
 
     def progress(self):
-        """Returns the used fraction of the budget."""
+        """Returns the fraction of the budget used."""
         return self.steps / self.config.steps
 
     def is_over(self):
@@ -210,7 +210,7 @@ def train(training):
      8              update for K epochs by Eq. (3) and empty the buffer
      9      else:
     10          drive until the episode ends and record only whether the robot arrived
-    11          if more than a fraction r of the last 100 such episodes arrived: stop
+    11          if over a fraction r of the last 100 such episodes succeeded: stop
 
     Here R robots drive in parallel, one step at a time.
     """

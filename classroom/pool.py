@@ -17,7 +17,7 @@ COLUMNS = dict(name=str, env=str, seed=int, episode=int, outcome=str, seconds=fl
 
 
 def read_drives(folder):
-    """Returns the first try of each person at each task, name -> rows. Raises RunError, OSError."""
+    """Returns each person's first try at each task, name -> rows. Raises RunError, OSError."""
     drivers = {}  # (name, env, seed) -> episode -> row
     for file in sorted(Path(folder).rglob("*.csv")):
         with open(file, newline="", encoding="utf-8-sig") as text:  # with or without BOM

@@ -1,4 +1,4 @@
-"""The finished runs for slow laptops are those of the class page."""
+"""The finished runs for slow laptops are those on the class page."""
 
 import json
 from pathlib import Path

@@ -59,7 +59,7 @@ class Examination:
             torch.set_num_threads(1)  # torch's own threads spin while they wait for each other
             self.name = Path(options.run).stem
             model, self.scenes = load_model(options.run)
-            # With a single start pose, all episodes of deterministic actions would be equal.
+            # With one start pose, all episodes with deterministic actions would be the same.
             sampled = options.protocol in ("start", "validation")
             self.actions = "sampled" if sampled else "mean"
             self.driver = Policy(model, self.actions, options.seed)

@@ -117,7 +117,7 @@ def table(result):
 
 def report(summary, window=100):
     """Returns the text at the end of a training run, from the content of its `summary.json`.
-    window: number of episodes that the rolling success rate counts."""
+    window: number of episodes in the rolling success rate."""
     frozen = summary["frozen"]
     new = frozen["new"]
     rate = summary["rolling_new_success"]

@@ -31,7 +31,7 @@ def polar(pose, point):
 
 
 def turn_and_go(pose, point):
-    """Returns the command that turns on the spot towards a point or, once ahead, drives to it."""
+    """Returns the command to turn in place towards a point or, once it is ahead, drive to it."""
     distance, bearing = polar(pose, point)
     if abs(bearing) > 1e-6 and distance > 1e-6:
         return 0.0, np.clip(bearing / CONTROL_PERIOD, -MAX_ANGULAR_VELOCITY, MAX_ANGULAR_VELOCITY)
@@ -39,7 +39,7 @@ def turn_and_go(pose, point):
 
 
 class Roadmap:
-    """A graph of those points (n, 2) [m] at which the disc fits, joined if it fits in between."""
+    """A graph of the points (n, 2) [m] where the disc fits, joined if it fits between them."""
 
     def __init__(self, scene, points):
         self.space = pymunk.Space()  # walls grown by the radius: the robot is a point
@@ -162,7 +162,7 @@ class DStar(Planner):
     and only the affected part of the search is repeated. Each cell s has g(s), its last settled
     cost to the goal [cells], and rhs(s), its cost from the current g of its neighbours. If they
     differ, s waits in the queue. Unlike in that paper, keys refer to the robot's first cell, so
-    they stay valid while it drives. Has no map, but range sensors all around."""
+    they stay valid while it drives. Has range sensors all around but no map."""
 
     senses = True
     CELL = 0.06  # [m]
@@ -183,7 +183,7 @@ class DStar(Planner):
         self.queue = [(self._key(self.target), self.target)]  # a heap; outdated entries stay in it
 
     def act(self, pose, readings):
-        """Drives to the best next cell; straight to the goal from its cell, or without a path."""
+        """Drives to the best next cell; straight to the goal in its cell or if no path exists."""
         self.start = self._cell(pose[:2])
         new = self._new_walls(pose, readings)
         changed = {n for s in new for n, _ in self._neighbours(s)} | new
@@ -219,7 +219,7 @@ class DStar(Planner):
         return [(n, step) for n, step in around if n not in self.blocked]
 
     def _key(self, s):
-        """Returns the key of a cell: a lower bound of the cost of a path over it, and its cost."""
+        """Returns the key of a cell: a lower bound on path cost through it, and its cost."""
         cost = min(self.g[s], self.rhs[s])
         # Rounded, because the keys along a straight path differ only by floating-point errors.
         return round(cost + math.dist(self.begun, s), 6), round(cost, 6)
@@ -256,7 +256,7 @@ def room_ahead(readings, direction):
 
 class Bug(Planner):
     """Bug2 (Lumelsky and Stepanov 1987): drives straight to the target, and around obstacles, wall
-    on the right, until it is back on the line and nearer. Has no map, but range sensors."""
+    on the right, until it is back on the line and nearer. Has range sensors but no map."""
 
     senses = True
 
@@ -304,7 +304,7 @@ class Bug(Planner):
 
 
 class Braitenberg(Planner):
-    """Turns to the target and away from walls (Braitenberg 1984). Has no map, but range sensors."""
+    """Turns to the target and away from walls (Braitenberg 1984). Has range sensors but no map."""
 
     senses = True
 

@@ -1,5 +1,5 @@
-"""Speed of each stage, on one core and on all. A number is the median of several timings. Trainings
-that are compared take turns. Axis letters: R robots, M sequences, T steps."""
+"""Speed of each stage, on one core and on all. A number is the median of several timings. Compared
+training runs take turns. Axis letters: R robots, M sequences, T steps."""
 
 import json
 import subprocess
@@ -42,7 +42,7 @@ def rate(call, count):
 
 
 def in_turn(*calls):
-    """Makes these calls in turn, three times. Each returns a dict; its three become a DataFrame."""
+    """Makes these calls in turn, three times. Each call's three dicts become a DataFrame."""
     rounds = [[call() for call in calls] for _ in range(3)]
     return [pd.DataFrame(results) for results in zip(*rounds)]
 
@@ -156,7 +156,7 @@ def measure_workers(workers):
 
 
 def measure_programs():
-    """Returns the start-up time of each program, and time and memory of a whole training."""
+    """Returns each program's start-up time, and time and memory of a whole training run."""
     commands = {"the demo": ["navbot_min.py"], "training": ["train.py"],
                 "evaluation": ["-m", "evaluation"], "drawing a room": ["-m", "scenes"]}
     start_up = {name: 1 / rate(partial(subprocess.run, [sys.executable, *words, "--help"],

@@ -204,7 +204,7 @@ def draw_any_room_floor():
     return draw_floor(replace(scene, training_targets=(), new_targets=()), traces, PATCH)
 
 
-POSE = (0.5, -2.2, 3.3)  # in env2, from which the images are seen
+POSE = (0.5, -2.2, 3.3)  # in env2, where the images are taken
 SEEN = {"appearance": "lab", "exposure": 0.6, "white_balance": (1.2, 1, 0.75),
         "camera_yaw_degrees": 6, "camera_pitch_degrees": -6, "image_delay": 1}  # exaggerated
 DRIVEN = {"distance_drift": 0.15, "turn_drift": 0.15, "wheel_gains": (1, 0.93)}
@@ -269,7 +269,7 @@ def draw_delta(deltas, delta, part):
 
 
 def draw_lab(lab):
-    """Draws the frozen policies in the lab: a row for each training, with a dot for each seed."""
+    """Draws the frozen policies in the lab: a row per kind of training, with a dot per seed."""
     lab = lab.assign(collision=(lab.training_collision + lab.new_collision) / 2,
                      stops=(lab.training_stops + lab.new_stops) / 2)
     rows = dict(list(lab.groupby(["allowed", "way"])))

@@ -1,4 +1,4 @@
-"""Learners from other projects in this environment and a network of the same size: RecurrentPPO of
+"""Other projects' learners in this environment, with a network of the same size: RecurrentPPO of
 Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`) and a loop in the
 style of CleanRL. Both learn from every step. Axis letters: R robots, T steps of an update."""
 
@@ -105,7 +105,7 @@ class CleanRLStyle:
         self.seen = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
 
     def forward(self, steps, memory):
-        """Steps (T, R, ...), memory -> actions' distribution (T, R, 2), values (T, R), memory."""
+        """Steps (T, R, ...), memory -> action distribution (T, R, 2), values (T, R), memory."""
         features = self.net.see(steps["image"].flatten(0, 1)).unflatten(0, steps["start"].shape)
         target = steps["target"] * TARGET_SCALE
         velocity = steps["velocity"] / self.net.command_scale

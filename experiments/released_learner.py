@@ -117,7 +117,7 @@ class BetaPolicy(Network):
 
 
 def update_as_released(model, optimizer, episodes, config, rng, total):
-    """Makes one update like the released learner. Arguments: those of `ppo.update`."""
+    """Makes one update like the released one. Arguments: those of `ppo.update`."""
     returns = torch.tensor(np.concatenate(
         [ppo.advantages(e.rewards, e.values, e.last_value, config.gamma, config.lam)
          for e in episodes]))
@@ -185,7 +185,7 @@ class VariedTraining(Training):
                                                      mean_and_std=lambda *numbers: (0.0, 1.0)))
             if "one-robot" in self.changes:
                 changed.enter_context(patch.object(train, "update", update_as_released))
-            if "no-annealing" in self.changes:  # learning rate and standard deviation stay
+            if "no-annealing" in self.changes:  # fixed learning rate, standard deviation
                 changed.enter_context(patch.object(self, "progress", lambda: 0.0))
             return super().learn(episodes)
 

@@ -72,7 +72,7 @@ def level_2_runs(ways, seeds):
         if way in WAYS:
             wanted |= {f"hidden-{name}": {"hide": name, "episodes": 200} for name in HIDDEN}
             wanted["validation"] = {"protocol": "validation", "episodes": 300}
-        if way == "varied":  # also in rooms without training
+        if way == "varied":  # also in rooms not trained in
             twin = "env2" if env == "env1" else "env1"
             wanted[twin] = {"env": twin, "protocol": "start", "episodes": 200}
             wanted |= in_rooms([room for room in TEST_ROOMS if room != env], "anywhere", 200)

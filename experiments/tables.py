@@ -1,5 +1,5 @@
 """The tables of the pages: `python -m experiments.tables` makes them from `results/`. It writes the
-rows of TABLES[NAME] between `<!-- table: NAME -->` with a header and `<!-- end -->`."""
+rows of TABLES[NAME] between `<!-- table: NAME -->` plus header and `<!-- end -->`."""
 
 import json
 import re

@@ -170,7 +170,7 @@ class RealEnv(NavEnv):
 
 class RandomVecEnv(RealVecEnv):
     """RealVecEnv for a robot with unknown errors: each episode draws an appearance and all errors,
-    uniformly up to GUESS (of factors the logarithms)."""
+    uniformly up to GUESS (factors log-uniformly)."""
 
     def draw_errors(self, r):
         drawn = {"appearance": self.np_random.integers(DRAWN_APPEARANCES)}

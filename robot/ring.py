@@ -28,7 +28,7 @@ def listen(world):
 
 def is_blocked(readings, commands):
     """Returns whether an obstacle in the readings (..., S) [m] blocks commands (..., 2) [m/s,
-    rad/s]: the path comes closer to it, within the margin around the disc. Each obstacle is assumed
+    rad/s]: the path comes closer to it, within the margin around the disc. Each obstacle is placed
     in the middle of its cone; if its reading is missing or not above 0, at the robot's rim."""
     v, w = np.moveaxis(np.asarray(commands)[..., None], -2, 0)  # (..., 1) each
     # Next positions in the robot's axes, (..., P) as x + iy [m]: ends of the chords of an arc.

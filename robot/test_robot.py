@@ -154,7 +154,7 @@ def test_the_observed_reward_is_by_odometry_and_a_subclass_may_change_it():
 
 
 def closest(obstacle, command):
-    """Returns the smallest distance [m] of a robot that executes a command from an obstacle, in
+    """Returns the smallest distance [m] between an obstacle and a robot executing a command, in
     many small steps. Positions are complex numbers, x + iy [m]."""
     dt = (CONTROL_PERIOD + ring.LONGER) / 2000
     steps = command[0] * dt * np.exp(1j * command[1] * dt * np.arange(1, 2001))

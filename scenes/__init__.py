@@ -106,7 +106,7 @@ def each(table, key, least, most, read_entry, argument):
 
 
 def box_of(table, what, in_degrees):
-    """Returns the Box of a table. what: its name in messages, here and in the functions below."""
+    """Returns the Box in a table. what: its name in messages, here and in the functions below."""
     keys = ("x", "y", "yaw_degrees" if in_degrees else "yaw", "length", "thickness", "height")
     check_keys(table, ("material", *keys), what)
     material = table["material"]

@@ -23,7 +23,7 @@ class Reality:
     white_balance: tuple = error((1.0, 1.0, 1.0), 0.2, 5.0)  # factors for red, green and blue
     camera_yaw: float = error(0.0, -0.3, 0.3)  # [rad] mounting error, to the left
     camera_pitch: float = error(0.0, -0.3, 0.3)  # [rad] mounting error, upwards
-    # Standard deviations of odometry errors. They are drawn once per episode, from normal
+    # Standard deviations of odometry errors, which are drawn once per episode from normal
     # distributions, and grow with the distance driven and the angle turned.
     distance_drift: float = error(0.0, 0.0, 1.0)  # [m/m]
     turn_drift: float = error(0.0, 0.0, 1.0)  # [rad/rad]

@@ -11,7 +11,7 @@ from scenes.generate import as_scene
 from scenes.places import complete
 from sim import SceneError, wrap_angle
 
-MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # all others, or none: wall
+MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # any other or none: wall
 UPRIGHT = 1e-3  # [rad] roll and pitch up to this count as 0, our choice
 ON_FLOOR = 0.01  # [m] distances from the floor up to this count as 0, our choice
 LEFT_OUT = {"model://sun", "model://ground_plane"}  # Gazebo models without walls
@@ -113,7 +113,7 @@ def pose_of(element, what, otherwise=(0.0, 0.0, 0.0, 0.0)):
 
 
 def compose(outer, inner):
-    """Returns the pose (x, y, z, yaw) in the world of a pose `inner`, relative to `outer`."""
+    """Returns the world pose (x, y, z, yaw) of a pose `inner` given relative to `outer`."""
     x, y, z, yaw = inner
     c = math.cos(outer[3])
     s = math.sin(outer[3])

@@ -234,8 +234,8 @@ def draw_trajectories(scene, traces, most=20):
 
 
 def paint_floor(axes, scene, goals, success, patch):
-    """Paints patches of the floor, `patch` [m] wide, by the mean success (n,) of the goals (n, 2)
-    in them, if at least FEWEST. A patch is centred on the room's corner. Returns the mesh [%]."""
+    """Paints patches of the floor, `patch` [m] wide, by the mean success (n,) of their goals (n, 2)
+    if at least FEWEST exist. A patch is centred on the room's corner. Returns the mesh [%]."""
     bins = [np.arange(low - patch / 2, high + patch, patch) for low, high in zip(*scene.bounds)]
     x, y = np.reshape(goals, (-1, 2)).T
     tried = np.histogram2d(x, y, bins)[0]

@@ -91,7 +91,7 @@ class RandomRooms:
         self.rooms = config.rooms or FIRST_ROOM  # number of rooms; FIRST_ROOM for always new ones
 
     def number(self, r, stage):
-        """Returns the number of the room of robot r, which is not watched."""
+        """Returns the room number of robot r, which is not watched."""
         return self.first_room + (r + stage * self.learning) % self.rooms
 
     def of_robot(self, r, stage):

@@ -1,7 +1,7 @@
 """Tests invariants of the task in unusual rooms with random and extreme actions, 14,000 steps.
 
 The steps are driven once. Each test checks one invariant of all steps with an oracle that computes
-the result in another way than the code.
+the result differently from the code.
 """
 
 import functools

@@ -75,7 +75,7 @@ def test_a_frame_shows_robot_trail_image_and_only_the_target_of_the_episode(goal
     steps = list(zip(driven.poses, driven.images))
     frames = [view.frame(pose, image, (0.3, -1.0), 10) for pose, image in steps]
     between = [frame[on_map((-1.5, -3.0))].min() == 255 for frame in frames]
-    assert between == [True, False, False]  # the trail grows, and frames that were given stay
+    assert between == [True, False, False]  # the trail grows, and earlier frames stay as is
     for (pose, image), frame in zip(steps, frames):
         assert frame.dtype == np.uint8 and frame.shape == (312, 760, 3)  # even, for video encoders
         dark = np.argwhere((frame == np.array(to_rgb(PALETTE["robot"])) * 255).all(-1))

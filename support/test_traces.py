@@ -31,7 +31,7 @@ class RecordingDriver(TurnToTarget):
 def test_traces_are_the_first_whole_episodes_of_each_robot_in_the_order_of_their_ends():
     driver = RecordingDriver()
     driven = drive(driver, make_env(), QUOTA, seed=3, images=True)
-    env = make_env()  # drive the same again: all steps of all robots, to be cut into episodes
+    env = make_env()  # the same drive again: all steps of all robots, to be cut into episodes
     seen, infos = env.reset(seed=3)
     begins = [(infos["pose"], seen["image"].copy(), env.goals.copy())]
     steps = []

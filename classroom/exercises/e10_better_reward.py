@@ -2,7 +2,7 @@
 
 A reward is a design decision. The robot learns to maximize it, which is not always what you meant.
 The project uses Eq. (4) (`rewards` in `navbot_min.py`). Compare yours on validation targets: if you
-tune on the new target, it is not a test any more.
+tune on the new target, it is no longer a test.
 """
 
 import numpy as np

@@ -14,7 +14,7 @@ def ray_length(origin, angle, p, q):
     from p (x, y) to q (x, y). Returns math.inf if the ray misses the wall or is parallel to it.
 
     A point of the ray is origin + t (cos angle, sin angle) with t >= 0. A point of the wall is
-    p + u (q - p) with u from 0 to 1. If both are the same point, that gives two equations in t, u.
+    p + u (q - p) with u from 0 to 1. Setting both equal gives two equations in t and u.
     """
     raise NotImplementedError("your turn")
 
