@@ -1,5 +1,5 @@
-"""The appearance of rooms to the camera: textures and light. Three kinds: the simulation's, the lab's
-(the simulated real room), and random ones."""
+"""The appearance of rooms to the camera: textures and light. Three kinds: the simulation's, the
+lab's (the simulated real room), and random ones."""
 
 from functools import partial
 
