@@ -216,11 +216,11 @@ def train(training):
     """
     begin = time.perf_counter() - training.seconds
     config = training.config
-    tests = config.targets == "both" or training.rooms.is_watched(config.robots - 1)
+    has_tests = config.targets == "both" or training.rooms.is_watched(config.robots - 1)
     shown = "{n_fmt} steps [{elapsed}, {rate_fmt}{postfix}], stops when " + RULE
     with tqdm(initial=training.steps, total=config.steps, unit=" steps", mininterval=0.5,
               disable=parallel.rank() > 0,
-              bar_format=None if config.fixed_budget or not tests else shown) as bar:
+              bar_format=None if config.fixed_budget or not has_tests else shown) as bar:
         while not training.is_over():  # line 2
             if training.steps >= training.next_stage:
                 training.save()
