@@ -27,7 +27,7 @@ evaluate: .venv/installed
 
 # Trains and evaluates everything that the tables report: hours.
 results: .venv/experiments-installed
-	$(BIN)/python -m experiments.results --ablations
+	$(BIN)/python -m experiments.results
 
 # Makes the figures and tables from the files in results/.
 figures: .venv/experiments-installed

@@ -48,7 +48,7 @@ class Box:
     thickness: float
     height: float
 
-    @property
+    @cached_property
     def corners(self):
         """Corners (4, 2) [m], counter-clockwise."""
         c = math.cos(self.yaw)
@@ -90,7 +90,7 @@ class Scene:
             own = (points - (box.x, box.y)) @ np.array([(c, -s), (s, c)])  # in the box's axes
             beyond = np.abs(own) - (box.length / 2, box.thickness / 2)  # distance past its faces
             outside = np.hypot(np.maximum(beyond[..., 0], 0), np.maximum(beyond[..., 1], 0))
-            inside = np.minimum(beyond.max(-1), 0)
+            inside = np.minimum(np.maximum(beyond[..., 0], beyond[..., 1]), 0)
             nearest = np.minimum(nearest, outside + inside)
         return nearest
 

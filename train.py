@@ -48,7 +48,7 @@ class Config:
     episodes_per_update: int = option(64, "N of Algorithm 1: episodes per update", 1, 4096)
     workers: int = option(0, "number of processes; 0: one per core, at most 4", 0, 64)
     epochs: int = option(2, "K of Algorithm 1: passes over the episodes of an update", 1, 1000)
-    minibatches: int = option(4, "minibatches of whole episodes per epoch", 1, 4096)
+    minibatches: int = option(8, "minibatches of whole episodes per epoch", 1, 4096)
     learning_rate: float = option(1e-3, "initial learning rate of Adam; decays to 0", 1e-9, 1.0)
     gamma: float = option(0.99, "discount factor per step", 0.0, 1.0)
     lam: float = option(0.95, "lambda of generalised advantage estimation", 0.0, 1.0)

@@ -24,9 +24,8 @@ from support.runs import RunError, write
 from support.weights import FILE, load_model
 
 OPTIONS = {
-    "level": option("", "only this level of the paper, the lab or the planners (default: all)",
-                    choices=("1", "2", "3", "lab", "planners")),
-    "ablations": option(False, "also make the ablations and variants of level 2, seeds 0 to 2"),
+    "level": option("", "only this level of the paper, or this part (default: all)",
+                    choices=("1", "2", "3", "lab", "stops", "planners")),
     "jobs": option(2, "number of runs at a time, each on one core", 1, 64)}
 
 
@@ -53,7 +52,10 @@ def commands(run):
 
 
 def make_run(run):
-    """Makes the missing files of a run. Yields each process until it ends. Raises RunError."""
+    """Makes the missing files of a run, unless its rows are in results/. Yields each process until
+    it ends. Raises RunError."""
+    if is_recorded(run):
+        return
     log = run.folder.with_suffix(".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     if run.weights:
@@ -88,20 +90,49 @@ def make_runs(wanted, jobs):
             process.wait()
 
 
+def is_recorded(run):
+    """Returns whether all tables of a run have its rows, and pretrained/ its weights."""
+    missing = [name for name, published in runs.PRETRAINED.items()
+               if run.folder.name == published and not weights_file(name).exists()]
+    tables = [RESULTS / name for name, (members, _) in runs.TABLES.items() if run in members]
+    return bool(tables) and not missing and all(
+        path.exists() and own_rows(read_text(path), run).any() for path in tables)
+
+
+def read_text(path):
+    """Returns a table as a DataFrame of text."""
+    return pd.read_csv(path, dtype=str, keep_default_na=False)
+
+
+def own_rows(rows, run):
+    """Returns which rows (a DataFrame of text) of a table belong to a run, a Series of bool."""
+    return (rows[list(run.names)] == pd.Series(run.names).astype(str)).all(axis=1)
+
+
+def weights_file(name):
+    """Returns the path of published weights."""
+    return ROOT / "pretrained" / f"{name}.safetensors"
+
+
 def record(run):
     """Writes the rows of a run into its tables, and its weights into pretrained/ if published."""
     for name, (members, rows_of) in runs.TABLES.items():
         if run in members:
             rows = pd.DataFrame(rows_of(run)).astype(str)
             if (RESULTS / name).exists():
-                old = pd.read_csv(RESULTS / name, dtype=str, keep_default_na=False)
-                other = (old[list(run.names)] != pd.Series(run.names).astype(str)).any(axis=1)
-                rows = pd.concat([old[other], rows])
+                old = read_text(RESULTS / name)
+                rows = pd.concat([old[~own_rows(old, run)], rows])
             order = pd.DataFrame([member.names for member in members]).astype(str)
             write(RESULTS / name, order.merge(rows).to_csv(index=False))
     for name, published in runs.PRETRAINED.items():
         if run.folder.name == published:
-            write(ROOT / "pretrained" / f"{name}.safetensors", (run.folder / FILE).read_bytes())
+            write(weights_file(name), (run.folder / FILE).read_bytes())
+    for name, source in runs.CLASSROOM.items():
+        if run.folder.name == source:
+            kept = ROOT / "classroom" / "runs" / name
+            for file in kept.iterdir():
+                if (run.folder / file.name).exists():
+                    write(file, (run.folder / file.name).read_bytes())
 
 
 def write_planners():
@@ -142,13 +173,15 @@ def write_lab_errors():
 def main(argv=None):
     """Runs the command line."""
     options, parser = parse(OPTIONS, "Make every table and figure of the results.", argv)
-    ablations = runs.LEVEL_2_ABLATIONS + runs.DELTAS if options.ablations else []
+    level_2 = runs.LEVEL_2 + runs.ANY_TARGET + runs.BUDGET + runs.LEVEL_2_ABLATIONS + runs.DELTAS
     # In this order, because runs in the lab start from weights of levels 2 and 3.
-    stages = {"1": runs.LEVEL_1, "2": runs.LEVEL_2 + ablations, "3": runs.LEVEL_3, "lab": runs.LAB}
+    stages = {"1": runs.LEVEL_1, "2": level_2, "3": runs.LEVEL_3, "lab": runs.LAB,
+              "stops": runs.STOPS}
     chosen = [level for level in stages if options.level in ("", level)]
     try:
         for level in chosen:
-            make_runs(stages[level], options.jobs)
+            # A run to the stop uses several cores, so each has the machine to itself.
+            make_runs(stages[level], 1 if level == "stops" else options.jobs)
         if "lab" in chosen:
             write_lab_errors()
         if options.level in ("", "planners"):

@@ -16,6 +16,8 @@ LAB_RATES = (*RATES[:-1], "standing", "stops", "spl")
 PAPER_ROOMS = {"env1": 250_000, "env2": 400_000}  # room -> training steps at level 2
 TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # never used for training
 WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # level 2
+STOP_WORKERS = (1, 2, 4)  # numbers of processes of the runs that stop by the paper's rule
+BUDGETS = (100_000, 150_000)  # steps in env1
 HIDDEN = ("place", "cube", "both")  # parts of the observation
 ABLATIONS = {  # way -> options
     "single": {"memory": "single"}, "none": {"memory": "none"}, "blind": {"without": "image"},
@@ -28,6 +30,7 @@ IN_THE_LAB = {"env": "lab", "mirrored": 0.0, "robots": 8, "episodes_per_update":
 SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: by the training), kind of targets
     "level1": {"start": (0, "training"), "perturbed": (1, "training")},
     "level2": {"training": (0, "training"), "new": (0, "new"), "anywhere": (1, "anywhere")},
+    "any-target": {"training": (1, "training"), "new": (1, "new"), "anywhere": (2, "anywhere")},
     "level3": {"training": (0, "training"), "validation": (0, "new")},
     "lab": {"training": (1, "training"), "new": (1, "new"), "anywhere": (2, "anywhere")}}
 
@@ -35,7 +38,7 @@ SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: by the training), 
 @dataclass(frozen=True)
 class Run:
     """A training run and its evaluations. Its files are in runs/results/."""
-    stage: str  # level1, level2, level3 or lab
+    stage: str  # first part of the folder's name, and a key of SUMMARIES
     names: dict  # first columns of each of its rows; the last one is the seed
     options: dict  # field of the training's Config -> value
     evaluations: dict  # NAME in evaluation-NAME.json -> options
@@ -50,7 +53,8 @@ class Run:
     @property
     def training(self):
         """Options of the training, with those that all runs share."""
-        return self.options | {"seed": self.names["seed"], "fixed_budget": True, "workers": 1}
+        common = {"seed": self.names["seed"], "fixed_budget": True, "workers": 1}
+        return common | self.options
 
     def read(self, file):
         """Returns the content of a JSON file, or the rows of a CSV file as a DataFrame."""
@@ -130,14 +134,31 @@ def summary_rows(run):
         row["steps_to_stop"] = next(iter(episodes.steps[arrived >= 81]), "")  # as released
     if run.stage == "lab":  # driving time of a single robot
         row["hours"] = round(row["steps"] * CONTROL_PERIOD / 3600, 2) if row["allowed"] else 0.0
-    keys = {"level2": RATES[1:], "lab": LAB_RATES}.get(run.stage, RATES)
+    keys = {"level2": RATES[1:], "any-target": RATES[1:], "lab": LAB_RATES}.get(run.stage, RATES)
     files = ["evaluation.json", *(f"evaluation-{name}.json" for name in run.evaluations)]
     for prefix, (which, kind) in SUMMARIES[run.stage].items():
         row |= rates(run.read(files[which])[kind], keys, f"{prefix}_")
-    if run.stage == "level2":
-        arrive = [goal["mean_action_arrives"] for goal in run.read("evaluation.json")["targets"]]
+    if run.stage in ("level2", "any-target"):
+        targets = run.read(files[SUMMARIES[run.stage]["new"][0]])["targets"]
+        arrive = [target["mean_action_arrives"] for target in targets]
         row["mean_action_arrives"] = f"{sum(arrive)} of {len(arrive)}"
     return [row]
+
+
+def stop_rows(run):
+    """Returns a run's row of stops.csv: when it stopped, and how its frozen policy drives."""
+    summary = run.read("summary.json")
+    row = run.names | {key: summary[key] for key in ("steps", "seconds", "rolling_new_success")}
+    for kind in ("new", "training"):
+        row |= rates(summary["frozen"][kind], RATES[:-1], f"{kind}_")
+    return [row]
+
+
+def budget_rows(run):
+    """Returns a run's rows of budgets.csv, one for each target."""
+    return [run.names | {"kind": target["kind"]}
+            | rates(target, ("x", "y", "n", "success", "low", "high"))
+            for target in run.read("evaluation.json")["targets"]]
 
 
 def hidden_rows(run):
@@ -188,6 +209,18 @@ LEVEL_1 = [  # one target; start pose and target are perturbed
         {"perturbed": {"protocol": "perturbed", "episodes": 500}})
     for env in ("env1", "maze0") for seed in range(5)]
 LEVEL_2 = level_2_runs(WAYS, range(5))
+ANY_TARGET = [  # level 3's task in one room
+    Run("any-target", {"env": "env1", "way": "any-target", "seed": seed},
+        {"env": "env1", "targets": "anywhere", "steps": PAPER_ROOMS["env1"]},
+        {"start": {"protocol": "start", "episodes": 1000},
+         "anywhere": {"protocol": "anywhere", "episodes": 500}}) for seed in range(5)]
+BUDGET = [Run("budget", {"budget": steps, "seed": seed}, {"env": "env1", "steps": steps}, {})
+          for steps in BUDGETS for seed in range(5)]
+STOPS = [  # the paper's rule stops these runs
+    Run("stop", {"env": env, "processes": workers, "seed": seed},
+        {"env": env, "workers": workers, "fixed_budget": False}, {})
+    for env, workers in [*itertools.product(["env1"], STOP_WORKERS), ("env2", 2)]
+    for seed in range(5)]
 LEVEL_2_ABLATIONS = level_2_runs(ABLATIONS | {"one-room": {"mirrored": 0.0}}, range(3))
 DELTAS = [  # the lesson, and variants with one changed option
     Run("delta", {"delta": name, "seed": seed}, {"env": "env1", "steps": 120_000} | options,
@@ -198,12 +231,17 @@ LEVEL_3 = level_3_runs()
 LAB = lab_runs()
 TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
     "level1.csv": (LEVEL_1, summary_rows),
-    "seeds.csv": (LEVEL_2, summary_rows), "hidden.csv": (LEVEL_2, hidden_rows),
+    "seeds.csv": (LEVEL_2 + ANY_TARGET, summary_rows), "budgets.csv": (BUDGET, budget_rows),
+    "stops.csv": (STOPS, stop_rows), "hidden.csv": (LEVEL_2, hidden_rows),
     "floor.csv": (LEVEL_2, floor_rows), "curves.csv": (LEVEL_2, curve_rows),
     "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
     "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows), "deltas.csv": (DELTAS, delta_rows),
     "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
     "lab.csv": (LAB, summary_rows)}
 PRETRAINED = {  # name -> run with its weights, always seed 0, not the best seed
-    "env1": "level2-env1-varied-seed0", "env2": "level2-env2-varied-seed0",
+    "env1": "level2-env1-varied-seed0", "env1-memorized": "level2-env1-one-start-seed0",
+    "env2": "level2-env2-varied-seed0",
     "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0"}
+CLASSROOM = {  # folder in classroom/runs/ -> run that it is a part of
+    "one": "level2-env1-one-start-seed0", "anywhere": "level2-env1-varied-seed0",
+    "none": "level2-env1-none-seed0"}

@@ -80,9 +80,11 @@ def furnished(rng, wanted, length, width):
         new_counts = counts & (new.clearance(ends) > ROBOT_RADIUS).all(0)
         new_blocked = blocked | are_blocked([box], *ends)
         share = new_blocked[new_counts].mean()
+        if share > wanted + NEAR:
+            continue
         free = new_clearance > ROBOT_RADIUS
         piece = flood(free, new_clearance == new_clearance.max())
-        if share > wanted + NEAR or piece.sum() < CONNECTED * free.sum():
+        if piece.sum() < CONNECTED * free.sum():
             continue
         boxes.append(box)
         clearance = new_clearance
@@ -141,13 +143,13 @@ def has_clear_gaps(boxes, joined):
     and leaves only gaps that are either closed or wide enough for the robot."""
     *others, last = boxes
     corners = last.corners
-    if (as_scene(boxes).bounds != as_scene(boxes[:4]).bounds).any():  # it is partly outside
+    low, high = as_scene(boxes[:4]).bounds
+    if (corners < low).any() or (corners > high).any():  # it is partly outside
         return False
-    edge = np.concatenate([np.linspace(corners[k - 1], corners[k], 24, endpoint=False)
-                           for k in range(4)])
-    for other in others:
-        gap = min(as_scene([other]).clearance(edge).min(),
-                  as_scene([last]).clearance(other.corners).min())
+    edge = np.linspace(np.roll(corners, 1, axis=0), corners, 24, endpoint=False).reshape(-1, 2)
+    ends = as_scene([last]).clearance([other.corners for other in others]).min(-1)
+    for other, end in zip(others, ends):
+        gap = min(as_scene([other]).clearance(edge).min(), end)
         if CLOSED < gap < NARROWEST or (gap < 0 and other is not joined):
             return False
     return True
