@@ -254,12 +254,12 @@ class NavEnv(gym.Env):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
     vector_class = NavVecEnv  # a subclass names its own
 
-    def __init__(self, scenes=("env1",), targets="both", random_starts=0.0,
-                 max_episode_steps=NO_LIMIT, render_mode=None):
-        """Takes the arguments of NavVecEnv, but has no time limit by default. render_mode:
+    def __init__(self, *arguments, max_episode_steps=NO_LIMIT, render_mode=None, **others):
+        """Takes the other arguments of NavVecEnv, but has no time limit by default. render_mode:
         "rgb_array" (`render` returns a picture) or "human" (a window). Raises ValueError."""
         check_render_mode(render_mode, self.metadata["render_modes"])
-        self.vector = self.vector_class(1, scenes, targets, random_starts, max_episode_steps)
+        self.vector = self.vector_class(1, *arguments, max_episode_steps=max_episode_steps,
+                                        **others)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
         self.render_mode = render_mode
@@ -318,10 +318,12 @@ class NavEnv(gym.Env):
         return self.__dict__ | {"_screen": None}  # a copy makes its own
 
 
-for _name in set(scene_files.names()) - {"lab"}:  # the lab is robot:NavBot-lab-v0
-    gym.register(f"NavBot-{_name}-v0", entry_point="navbot_min:NavEnv",
+for _name in set(scene_files.names()) - {"lab"}:  # the lab is robot:NavBot-lab-v1
+    gym.register(f"NavBot-{_name}-v1", entry_point="navbot_min:NavEnv",
                  vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
                  max_episode_steps=MAX_EPISODE_STEPS)
+gym.register("NavBot-random-v1", entry_point="support.random_rooms:RandomRoomsEnv",
+             vector_entry_point="support.random_rooms:RandomRoomsVecEnv", max_episode_steps=MAX_EPISODE_STEPS)
 
 
 if __name__ == "__main__":

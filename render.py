@@ -83,27 +83,36 @@ class Camera:
 
     def __init__(self, scenes):
         """scenes: a list of Scenes; `render` takes indices. Heights are rounded to texels."""
-        most_boxes = max(len(scene.boxes) for scene in scenes)
-        shape = (len(scenes), most_boxes, 4)  # four faces per box
-        # Rooms with fewer boxes are padded with boxes of size 0, whose faces are never visible.
+        shape = (len(scenes), 0, 4)  # scenes, boxes, faces of a box
         self._corners = np.zeros(shape, np.complex64)
         self._tops = np.zeros(shape, np.float32)
         self._texture = np.zeros(shape, np.int64)  # index in the palette of a face's texture
-        textures = {}  # (material, height [texel], rounded brightness) -> number
+        self._textures = {}  # (material, height [texel], rounded brightness) -> number
         for i, scene in enumerate(scenes):
-            for b, box in enumerate(scene.boxes):
-                self._corners[i, b] = box.corners @ (1, 1j)
-                # A box is higher than the camera. Rounding must keep it so.
-                top = min(max(round(box.height / TEXEL), int(np.ceil(EYE))), ABOVE)
-                self._tops[i, b] = top * TEXEL
-                for face in range(4):
-                    normal = box.yaw + (face + 1) * np.pi / 2
-                    brightness = self.light((np.cos(normal), np.sin(normal), 0)).round(1)
-                    key = (box.material, top, float(brightness))
-                    number = textures.setdefault(key, len(textures))
-                    self._texture[i, b, face] = number * PERIOD * COLUMN
+            self.set_scene(i, scene)
+
+    def set_scene(self, i, scene):
+        """Replaces scene number i by another Scene."""
+        missing = max(len(scene.boxes) - self._tops.shape[1], 0)
+        self._corners, self._tops, self._texture = [
+            np.pad(array, ((0, 0), (0, missing), (0, 0)))
+            for array in (self._corners, self._tops, self._texture)]
+        self._corners[i] = 0  # boxes of size 0 fill up the array: their faces are never visible
+        known = len(self._textures)
+        for b, box in enumerate(scene.boxes):
+            self._corners[i, b] = box.corners @ (1, 1j)
+            # A box is higher than the camera. Rounding must keep it so.
+            top = min(max(round(box.height / TEXEL), int(np.ceil(EYE))), ABOVE)
+            self._tops[i, b] = top * TEXEL
+            for face in range(4):
+                normal = box.yaw + (face + 1) * np.pi / 2
+                brightness = self.light((np.cos(normal), np.sin(normal), 0)).round(1)
+                key = (box.material, top, float(brightness))
+                number = self._textures.setdefault(key, len(self._textures))
+                self._texture[i, b, face] = number * PERIOD * COLUMN
         self._highest = self._tops.max()
-        self._palette = self._make_palette(textures)
+        if len(self._textures) > known:
+            self._palette = None  # `render` makes it
 
     def _make_palette(self, textures):
         """Returns the palette, a flat array of 32-bit colours."""
@@ -124,6 +133,8 @@ class Camera:
     def render(self, scene_of, poses, targets):
         """Returns images (R, H, W, 3) uint8 RGB from poses (R, 3) in scenes (R,), given by index,
         with target cubes at (R, 2) [m]."""
+        if self._palette is None:
+            self._palette = self._make_palette(self._textures)
         images = np.empty((len(poses), H, W, 3), np.uint8)
         for k in range(0, len(poses), BLOCK):
             block = slice(k, k + BLOCK)

@@ -174,30 +174,30 @@ def flood(free, source):
     return flooded
 
 
+def walls_of(scene):
+    """Returns a pymunk Space with the boxes of a scene."""
+    space = pymunk.Space()
+    for box in scene.boxes:
+        space.add(pymunk.Poly(space.static_body, box.corners.tolist()))
+    return space
+
+
 class World:
     """R robots; robot r drives in `scenes[r]`. Robots neither see each other nor collide."""
 
     def __init__(self, scenes):
         """scenes: R Scenes, one per robot. Robots start at the start poses of their scenes."""
         self.scenes = list(scenes)
-        spaces = {}  # id(scene) -> its walls; robots in the same room share them
-        for scene in self.scenes:
-            if id(scene) not in spaces:
-                space = pymunk.Space()
-                spaces[id(scene)] = space
-                for box in scene.boxes:
-                    space.add(pymunk.Poly(space.static_body, box.corners.tolist()))
+        spaces = {id(scene): walls_of(scene) for scene in self.scenes}  # shared by robots in a room
         self._spaces = [spaces[id(scene)] for scene in self.scenes]
         self._poses = np.zeros((len(self.scenes), 3))
         self.place(slice(None), [scene.start for scene in self.scenes])
 
-    def __getstate__(self):
-        return self.scenes, self._poses  # a copied or unpickled world builds its own spaces
-
-    def __setstate__(self, content):
-        scenes, poses = content
-        self.__init__(scenes)
-        self._poses = poses
+    def set_scene(self, r, scene):
+        """Puts robot r at the start pose of another Scene."""
+        self.scenes[r] = scene
+        self._spaces[r] = walls_of(scene)
+        self.place(r, scene.start)
 
     @property
     def poses(self):

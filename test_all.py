@@ -241,9 +241,9 @@ def test_a_wrapped_angle_is_equivalent_and_in_the_range_from_minus_pi_to_pi(angl
 def test_gymnasium_accepts_the_environment_without_a_warning(name, targets):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gym.make(f"navbot_min:NavBot-{name}-v0", render_mode="rgb_array", targets=targets)
+        env = gym.make(f"navbot_min:NavBot-{name}-v1", render_mode="rgb_array", targets=targets)
         check_env(env.unwrapped, skip_render_check=True)  # otherwise it opens a window
-        many = gym.make_vec(f"navbot_min:NavBot-{name}-v0", num_envs=3, targets=targets,
+        many = gym.make_vec(f"navbot_min:NavBot-{name}-v1", num_envs=3, targets=targets,
                             vectorization_mode="vector_entry_point")
     observations, _ = many.reset(seed=0)
     assert many.observation_space.contains(observations)
@@ -422,7 +422,7 @@ def test_a_copy_continues_like_the_original(duplicate):
 
 @pytest.mark.parametrize("mode", ["single", "sync", "async", "vector_entry_point"])
 def test_the_step_limit_is_the_requested_one(mode):
-    name = "navbot_min:NavBot-env1-v0"
+    name = "navbot_min:NavBot-env1-v1"
     for arguments, limit in (({}, 200), ({"max_episode_steps": 210}, 210)):
         if mode == "single":
             env = gym.make(name, **arguments)

@@ -15,7 +15,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from experiments.figures import draw_benchmark
-from experiments.peers import PEERS
+from experiments.peers import PEERS, level_2
 from model import make_network
 from navbot_min import NavVecEnv
 from render import H, W
@@ -183,7 +183,7 @@ def main(argv=None):
     peers = {}
     for name, (make, settings) in PEERS.items() if options.peers else ():
         steps = settings.robots * settings.steps
-        sps = rate(partial(make(settings).learn, steps), steps)
+        sps = rate(partial(make(settings, level_2(settings.robots)).learn, steps), steps)
         peers[name] = {"sps": sps, "ratio": figures["train_sps_training_targets"] / sps}
     figures |= {"peers": peers, "workers": races, "pauses": pauses, "programs": measure_programs(),
                 "all_cores": measure(cores)}

@@ -1,16 +1,28 @@
 """Other projects' learners in this environment, with a network of the same size: RecurrentPPO of
-Stable-Baselines3-contrib (`pip install -r experiments/requirements-peers.txt`) and a loop in the
-style of CleanRL. Both learn from every step. Axis letters: R robots, T steps of an update."""
+Stable-Baselines3-contrib and a loop in the style of CleanRL. Both learn from every step.
 
+`pip install -r experiments/requirements-peers.txt`, then `python -m experiments.peers`, makes the
+missing rows of results/peers.csv. Axis letters: R robots, T steps of an update."""
+
+import time
 from collections import namedtuple
 
 import numpy as np
+import pandas as pd
 import torch
 
+import scenes
+from evaluation import Policy, evaluate
+from experiments.runs import PAPER_ROOMS, TEST_ROOMS
+from experiments.tables import RESULTS
 from model import (FEATURES, HIDDEN, IMAGE_MEAN, IMAGE_SCALE, LAST, MAX_COMMAND, REWARD_SCALE,
                    TARGET, TARGET_SCALE, make_cnn, make_network)
 from navbot_min import NavVecEnv
 from ppo import MAX_GRADIENT_NORM, VALUE_WEIGHT
+from support.cli import parse
+from support.random_rooms import RandomRoomsVecEnv
+from support.rooms import validation_scenes
+from support.runs import write
 from train import Config
 
 try:
@@ -25,7 +37,14 @@ except ImportError:  # without them, only the CleanRL-style loop is available
 Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate")
 # 32 steps per robot are about as many as the episodes of one of our updates have.
 OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches, Config.learning_rate)
-TASK = (["env1"], "training", Config.random_starts)  # for NavVecEnv, without new targets
+
+
+def level_2(robots):
+    """Returns the environment of our training in env1: half of the robots in the mirrored room. It
+    has no new targets."""
+    room = scenes.load("env1")
+    rooms = [room] * (robots - robots // 2) + [room.mirrored()] * (robots // 2)
+    return NavVecEnv(robots, rooms, "training", Config.random_starts)
 
 
 class StableBaselinesEnv(VecEnv):
@@ -78,12 +97,13 @@ class Features(BaseFeaturesExtractor):
                           seen["last_reward"] * REWARD_SCALE], -1)
 
 
-def recurrent_ppo(settings):
+def recurrent_ppo(settings, env, seed=0):
     """Returns a RecurrentPPO with our network's sizes. Its two LSTMs both get all inputs."""
     learner = RecurrentPPO(
-        "MultiInputLstmPolicy", StableBaselinesEnv(NavVecEnv(settings.robots, *TASK)),
+        "MultiInputLstmPolicy", StableBaselinesEnv(env),
         learning_rate=settings.learning_rate, n_steps=settings.steps, n_epochs=settings.epochs,
-        batch_size=settings.robots * settings.steps // settings.minibatches, seed=0, device="cpu",
+        batch_size=settings.robots * settings.steps // settings.minibatches, seed=seed,
+        device="cpu",
         policy_kwargs=dict(features_extractor_class=Features, normalize_images=False,
                            lstm_hidden_size=HIDDEN, n_lstm_layers=2, shared_lstm=True,
                            enable_critic_lstm=False, net_arch=[HIDDEN]))
@@ -91,17 +111,43 @@ def recurrent_ppo(settings):
     return learner
 
 
+class Predicted:
+    """A driver with the policy of a learner of Stable-Baselines3."""
+    label = "a policy of Stable-Baselines3"
+
+    def __init__(self, learner, actions):
+        """actions: `sampled` or `mean`."""
+        self.learner = learner
+        self.is_mean = actions == "mean"
+        self.env = None
+
+    def reset(self, env, robots):
+        """Clears the memory of these robots."""
+        if env is not self.env:
+            self.env = env
+            self.memory = None
+            self.begins = np.ones(env.num_envs, bool)
+        self.begins[robots] = True
+
+    def act(self, env, observations):
+        """Returns the actions (R, 2)."""
+        actions, self.memory = self.learner.predict(observations, self.memory, self.begins,
+                                                    deterministic=self.is_mean)
+        self.begins[:] = False
+        return actions
+
+
 class CleanRLStyle:
     """PPO with an LSTM as in CleanRL's single file: T steps of R robots, then an update."""
 
-    def __init__(self, settings, seed=0):
+    def __init__(self, settings, env, seed=0):
         self.settings = settings
         self.net = make_network(seed)
         torch.manual_seed(seed)  # for actions and shuffles, as in CleanRL
         self.optimizer = torch.optim.Adam(self.net.parameters(), eps=1e-5)
-        self.env = NavVecEnv(settings.robots, *TASK)
+        self.env = env
         self.memory = self.net.initial_state(settings.robots)
-        seen = self.env.reset(seed=seed)[0] | {"start": np.ones(settings.robots, np.float32)}
+        seen = env.reset(seed=seed)[0] | {"start": np.ones(settings.robots, np.float32)}
         self.seen = {key: torch.as_tensor(value)[None] for key, value in seen.items()}
 
     def forward(self, steps, memory):
@@ -164,9 +210,55 @@ class CleanRLStyle:
                     self.optimizer.step()
 
 
-# name -> function or class that makes a learner, its Settings; learner.learn(steps) trains
+# name -> function or class that makes a learner, its Settings
 PEERS = {"CleanRL-style, as it comes": (CleanRLStyle, Settings(8, 128, 4, 4, 2.5e-4)),
          "CleanRL-style, our work": (CleanRLStyle, OUR_WORK)}
 if RecurrentPPO is not None:  # its default minibatches have 128 steps
     PEERS = {"RecurrentPPO, as it comes": (recurrent_ppo, Settings(8, 128, 10, 8, 3e-4)),
              "RecurrentPPO, our work": (recurrent_ppo, OUR_WORK)} | PEERS
+LEVELS = {  # level of the paper -> environment, steps
+    2: (level_2, PAPER_ROOMS["env1"]), 3: (RandomRoomsVecEnv, 500_000)}
+SEEDS = {(2, name): 3 for name in PEERS} | {(3, "RecurrentPPO, our work"): 1}  # number of seeds
+
+
+def driver(learner, actions):
+    """Returns a driver with the policy of a learner."""
+    if isinstance(learner, CleanRLStyle):
+        return Policy(learner.net, actions, seed=0)
+    return Predicted(learner, actions)
+
+
+def success(level, learner):
+    """Returns the success rates of a learner's frozen policy, as columns."""
+    if level == 2:
+        result, _ = evaluate(driver(learner, "sampled"), ["env1"], 1000, "start")
+        return {f"{kind}_success": result[kind]["success"] for kind in ("training", "new")}
+    tests = {"validation": (validation_scenes(), 1000)}
+    tests |= {room: ([room], 100) for room in TEST_ROOMS}
+    return {f"{name}_success": evaluate(driver(learner, "mean"), rooms, episodes,
+                                        "anywhere")[0]["anywhere"]["success"]
+            for name, (rooms, episodes) in tests.items()}
+
+
+def main(argv=None):
+    """Runs the command line: trains each peer that results/peers.csv lacks."""
+    parse({}, "Train the learners of other projects in this environment.", argv)
+    torch.set_num_threads(1)
+    path = RESULTS / "peers.csv"
+    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    made = {(row["level"], row["learner"], row["seed"]) for row in rows}
+    for (level, name), count in SEEDS.items():
+        for seed in set(range(count)) - {seed for *key, seed in made if key == [level, name]}:
+            make, settings = PEERS[name]
+            make_env, steps = LEVELS[level]
+            learner = make(settings, make_env(settings.robots), seed)
+            begin = time.perf_counter()
+            learner.learn(steps)
+            row = {"level": level, "learner": name, "seed": seed, "steps": steps,
+                   "seconds": round(time.perf_counter() - begin, 1)}
+            rows.append(row | success(level, learner))
+            write(path, pd.DataFrame(rows).to_csv(index=False))
+
+
+if __name__ == "__main__":
+    main()

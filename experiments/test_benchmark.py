@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import ppo
+from evaluation import evaluate
 from experiments import benchmark, clocked, peers
 from model import Network
 from navbot_min import NavVecEnv
@@ -59,7 +60,7 @@ def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, mon
 
 
 def test_the_cleanrl_style_loop_has_our_values_and_advantages_in_each_episode():
-    learner = peers.CleanRLStyle(SMALL)
+    learner = peers.CleanRLStyle(SMALL, peers.level_2(2))
     learner.env.max_episode_steps = 3
     steps = learner.collect()
     assert steps["start"][3].all() and learner.seen["start"].all()
@@ -88,4 +89,7 @@ def test_stable_baselines_gets_the_last_observation_and_the_truncation():
     for r, info in enumerate(each):
         assert info["TimeLimit.truncated"] and info["episode"]["l"] == 3
         assert (info["terminal_observation"]["image"] == infos["final_obs"]["image"][r]).all()
-    peers.recurrent_ppo(SMALL).learn(12)
+    learner = peers.recurrent_ppo(SMALL, peers.level_2(2))
+    learner.learn(12)
+    result, _ = evaluate(peers.driver(learner, "mean"), ["env1"], 2, "anywhere")
+    assert result["anywhere"]["n"] == 2

@@ -2,6 +2,6 @@
 
 import gymnasium
 
-gymnasium.register("NavBot-lab-v0", entry_point="robot.environment:RealEnv",
+gymnasium.register("NavBot-lab-v1", entry_point="robot.environment:RealEnv",
                    vector_entry_point="robot.environment:RealVecEnv", kwargs={"scenes": ("lab",)},
                    max_episode_steps=200)

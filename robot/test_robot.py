@@ -66,12 +66,12 @@ def test_no_errors_give_the_simulation_and_a_late_image_is_one_period_old():
 
 
 def test_the_lab_is_registered_with_its_errors_and_needs_no_torch():
-    env = gymnasium.make("robot:NavBot-lab-v0")
+    env = gymnasium.make("robot:NavBot-lab-v1")
     env.reset(seed=0)
     assert env.unwrapped.vector.exposure == LAB.reality.exposure
-    assert isinstance(gymnasium.make_vec("robot:NavBot-lab-v0", 2), RealVecEnv)
+    assert isinstance(gymnasium.make_vec("robot:NavBot-lab-v1", 2), RealVecEnv)
     code = ("import gymnasium, sys; sys.modules['torch'] = None; import robot.robot, robot.policy; "
-            "gymnasium.make('robot:NavBot-lab-v0')")
+            "gymnasium.make('robot:NavBot-lab-v1')")
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -76,4 +76,4 @@ def refuse_reality(scenes):
     for scene in scenes:
         if scene.reality:
             raise SceneError(f"room {scene.name!r} has a robot's errors; use python -m "
-                             "robot.train, python -m robot.evaluate or robot:NavBot-lab-v0")
+                             "robot.train, python -m robot.evaluate or robot:NavBot-lab-v1")

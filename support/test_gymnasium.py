@@ -13,7 +13,7 @@ import scenes
 from navbot_min import TIMEOUT, NavEnv, NavVecEnv
 from scenes.test_scenes import square_room
 
-ID = "navbot_min:NavBot-env1-v0"
+ID = "navbot_min:NavBot-env1-v1"
 STILL = np.zeros(2)
 
 

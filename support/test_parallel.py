@@ -1,6 +1,11 @@
 """Tests of training and other jobs in several processes."""
 
+import json
 import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +18,7 @@ from ppo import Episode, update
 from support import parallel
 from support.parallel import ProcessLost, gather, in_processes, run_together, total
 
+ROOT = Path(__file__).parent.parent
 LENGTHS = (3, 9, 5, 1, 7, 12, 4, 2)
 SECOND = 3  # number of these episodes that belong to the second process
 CONFIG = SimpleNamespace(epochs=1, minibatches=1, gamma=0.99, lam=0.95, clip=0.2)
@@ -98,3 +104,19 @@ def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
     (8, dict(torchrun=8)), (5, dict(workers=5)), (1, dict(gloo=False, workers=2))])
 def test_the_default_is_one_process_per_core_and_at_most_four(expected, options, monkeypatch):
     assert check(monkeypatch, **options) == expected
+
+
+def test_torchrun_trains_on_two_machines(tmp_path):
+    with socket.create_server(("localhost", 0)) as server:
+        port = server.getsockname()[1]  # a free one
+    command = [sys.executable, "-m", "torch.distributed.run", "--nnodes", "2", "--rdzv-backend",
+               "c10d", "--rdzv-endpoint", f"localhost:{port}", ROOT / "train.py", "--env", "env1",
+               "--steps", "500", "--robots", "8", "--episodes-per-update", "4", "--minibatches",
+               "1", "--fixed-budget", "--evaluation-episodes", "2"]
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir()
+    machines = [subprocess.Popen(command, cwd=folder) for folder in folders]
+    assert [machine.wait(100) for machine in machines] == [0, 0]
+    summaries = [summary for folder in folders for summary in folder.rglob("summary.json")]
+    assert [json.loads(summary.read_text())["steps"] for summary in summaries] == [504]

@@ -3,12 +3,16 @@
 import pickle
 from itertools import combinations
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
 import scenes
+import support.random_rooms
 import train
+from navbot_min import NavVecEnv
+from render import Camera
 from scenes import generate
 from scenes.test_scenes import square_room
 from sim import Scene
@@ -144,3 +148,55 @@ def test_the_evaluation_after_training_uses_plain_scenes(quick):
     numbers = [1_000_000, 1_000_001, 1_000_002, 0, 1, 2]
     assert [room.name for room in evaluated] == [f"random-{k}" for k in numbers]
     assert all(type(room) is Scene for room in evaluated)
+
+
+def test_random_rooms_follow_from_the_seed_of_the_environment_and_change(quick, monkeypatch):
+    monkeypatch.setattr(support.random_rooms, "EPISODES_PER_ROOM", 2)
+    many, same = [gym.make_vec("navbot_min:NavBot-random-v1", num_envs=3,
+                               vectorization_mode="vector_entry_point").unwrapped for _ in "12"]
+    many.reset(seed=0)
+    many.reset(seed=1)
+    same.reset(seed=1)
+    visited = {many.scenes[0].name: 0}  # room of robot 0 -> episodes that ended in it
+    for _ in range(300):
+        room = many.scenes[0].name
+        _, _, terminated, truncated, _ = many.step(np.ones((3, 2)))
+        same.step(np.ones((3, 2)))
+        assert many.scenes == same.scenes and (many.goals == same.goals).all()
+        visited[room] += int(terminated[0] | truncated[0])
+        visited.setdefault(many.scenes[0].name, 0)
+    images = many.step(np.ones((3, 2)))[0]["image"]
+    expected = Camera(many.scenes).render(many.scene_of, many.world.poses, many.goals)
+    assert (images == expected).all()
+    *ended, _ = visited.values()
+    assert len(ended) > 5 and set(ended) == {2}
+    assert min(int(name.removeprefix("random-")) for name in visited) >= rooms.FIRST_ROOM
+    with pytest.raises(ValueError, match="in random rooms there are none"):
+        many.reset(options={"target": 0})
+
+
+@pytest.mark.filterwarnings("ignore:.*out of date")
+def test_the_error_for_an_old_version_of_an_environment_names_the_new_one():
+    with pytest.raises(gym.error.DeprecatedEnv, match="NavBot-env1-v1"):
+        gym.make("navbot_min:NavBot-env1-v0")
+
+
+def test_a_robot_sees_and_hits_the_walls_of_its_new_room():
+    env = NavVecEnv(2, ["env1", "random:3"], "anywhere")
+    env.reset(seed=0)
+    for r, room in ((0, scenes.load("maze4")), (1, generate.room(4))):
+        env.world.set_scene(r, room)
+        env.camera.set_scene(r, room)
+    fresh = NavVecEnv(2, ["maze4", "random:4"], "anywhere")
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(30):
+        poses = np.array([room.any_start((0, 0), rng) for room in fresh.scenes])
+        images = [each.camera.render(each.scene_of, poses, poses[:, :2]) for each in (env, fresh)]
+        assert (images[0] == images[1]).all()
+        for world in (env.world, fresh.world):
+            world.place(slice(None), poses)
+        hit, other = [world.drive([(0.3, 0.0)] * 2) for world in (env.world, fresh.world)]
+        assert (hit == other).all() and (env.world.poses == fresh.world.poses).all()
+        hits += hit.sum()
+    assert hits > 3

@@ -1,0 +1,45 @@
+"""Level 3 as an environment, `NavBot-random-v1`, for learners that do not change rooms themselves."""
+
+import numpy as np
+
+from navbot_min import MAX_EPISODE_STEPS, NavEnv, NavVecEnv
+from scenes.generate import MOST_SEED
+from support.checks import check
+from support.rooms import FIRST_ROOM, training_room
+
+EPISODES_PER_ROOM = 16  # about as many as in our training
+
+
+class RandomRoomsVecEnv(NavVecEnv):
+    """Level 3 for any learner: each robot drives EPISODES_PER_ROOM episodes in one random room, then
+    in the next one. The rooms are drawn with the environment's seed; they are never those to
+    validate in. Targets and starts are drawn as in our training."""
+
+    def __init__(self, num_envs=32, max_episode_steps=MAX_EPISODE_STEPS):
+        """Arguments: as for NavVecEnv."""
+        check(num_envs >= 1, f"num_envs is {num_envs}; it must be at least 1")
+        rooms = [training_room(FIRST_ROOM)] * num_envs  # until the first reset
+        super().__init__(num_envs, rooms, "anywhere", max_episode_steps=max_episode_steps)
+        self._episodes = np.zeros(num_envs, dtype=int)  # that each robot has begun in its room
+
+    def reset(self, *, seed=None, options=None):
+        """Starts an episode for every robot; with a seed, in new rooms. Raises ValueError."""
+        check(not options, f"options is {options!r}; in random rooms there are none")
+        if seed is not None:
+            self._episodes[:] = 0
+        return super().reset(seed=seed)
+
+    def sample_episode(self, r):
+        """Draws robot r's next episode, and from time to time its next room."""
+        if self._episodes[r] % EPISODES_PER_ROOM == 0:
+            room = training_room(int(self.np_random.integers(FIRST_ROOM, MOST_SEED)))
+            self.scenes[r] = room
+            self.world.set_scene(r, room)
+            self.camera.set_scene(r, room)
+        self._episodes[r] += 1
+        return super().sample_episode(r)
+
+
+class RandomRoomsEnv(NavEnv):
+    """One robot of RandomRoomsVecEnv, without autoreset."""
+    vector_class = RandomRoomsVecEnv
