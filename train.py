@@ -18,7 +18,7 @@ from ppo import Collector, update
 from support import parallel
 from support.cli import option, parse
 from support.rooms import make_rooms
-from support.run_folder import begin_run, open_folder, report_errors
+from support.run_folder import begin_run, open_folder, report_errors, restore, state_of
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # episodes of a rolling success rate, paper IV-B
@@ -27,7 +27,6 @@ ANNEALING = 0.15  # last fraction of the steps, in which it decays to FINAL_STD,
 STAGE = 50_000  # steps, summed over 64 robots, between two checkpoints, our choice
 COUNT_EVERY = 4  # steps between two counts of the episodes of all processes, our choice
 RULE = f"more than {WINDOW * SUCCESS_RATE:.0f} of the last {WINDOW} test episodes succeed"
-COUNTED = ("stage", "steps", "episodes", "seconds", "arrivals")  # attributes in a checkpoint
 
 
 @dataclass
@@ -94,7 +93,8 @@ class Training:
         self.next_stage = (self.stage + 1) * every
         rng = np.random.default_rng([self.config.seed, parallel.rank(), self.steps])
         env_seed, action_seed = rng.integers(2 ** 31, size=2).tolist()
-        rooms = [self.rooms.of_robot(r, self.stage) for r in self.robots]
+        self.rooms.begin_stage(self.stage)
+        rooms = [self.rooms.of_robot(r) for r in self.robots]
         self.env = self.environment(len(rooms), rooms, self.config.targets,
                                     self.config.random_starts)
         self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
@@ -153,6 +153,7 @@ class Training:
     def record(self, row):
         """Counts an episode, given its row of episodes.csv, and writes the row."""
         self.episodes += 1
+        self.rooms.count(row)
         if self.folder:
             self.folder.tables["episodes.csv"].add(row)
         self.arrivals[row["kind"]].append(row["outcome"] == "arrival")
@@ -174,27 +175,12 @@ class Training:
             self.folder.offer_weights(self.model, self.scenes)
         return row
 
-    def state(self):
-        """Returns the state for a checkpoint, for `load_state`. Call it in all processes."""
-        counted = {name: getattr(self, name) for name in COUNTED}
-        return counted | {"model": self.model.state_dict(),
-                          "optimizer": self.optimizer.state_dict(),
-                          "rngs": parallel.gather(self.rng.bit_generator.state)}
-
     def save(self):
         """Writes a checkpoint and the weights. Call it in all processes."""
-        state = self.state()
+        state = state_of(self)
         if self.folder and self.steps:
             self.folder.save_checkpoint(state)
             self.folder.offer_weights(self.model, self.scenes, now=True)
-
-    def load_state(self, state):
-        """Restores a state of a Training with the same config."""
-        self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.rng.bit_generator.state = state["rngs"][parallel.rank()]
-        for name in COUNTED:
-            setattr(self, name, state[name])
 
 
 def train(training):
@@ -246,7 +232,7 @@ def run(config, scenes, training_class):
         training.folder = folder
         state = parallel.gather(folder and folder.state)[0]  # from the first process
         if state:
-            training.load_state(state)
+            restore(training, state)
         train(training)
     return training
 

@@ -31,6 +31,7 @@ except ImportError:  # on Windows
 CHECKPOINT = "checkpoint.pt"
 EVERY = 10.0  # [s] minimum time between two writes of the newest weights, our choice
 TABLES = ("episodes.csv", "updates.csv")
+COUNTED = ("stage", "steps", "episodes", "seconds", "arrivals")  # of a Training, in a checkpoint
 OF_A_COMMAND = ("resume", "json")  # options that a run does not keep
 
 
@@ -152,6 +153,25 @@ def open_folder(config):
     if config.resume and not folder.state:
         print("no checkpoint yet: the run starts again from the beginning", file=sys.stderr)
     return folder
+
+
+def state_of(training):
+    """Returns the state of a Training for a checkpoint. Call it in all processes."""
+    counted = {name: getattr(training, name) for name in COUNTED}
+    return counted | {"model": training.model.state_dict(),
+                      "optimizer": training.optimizer.state_dict(),
+                      "rooms": training.rooms.state,
+                      "rngs": parallel.gather(training.rng.bit_generator.state)}
+
+
+def restore(training, state):
+    """Restores the state of a Training with the same config."""
+    training.model.load_state_dict(state["model"])
+    training.optimizer.load_state_dict(state["optimizer"])
+    training.rooms.state = state["rooms"]
+    training.rng.bit_generator.state = state["rngs"][parallel.rank()]
+    for name in COUNTED:
+        setattr(training, name, state[name])
 
 
 @contextmanager
