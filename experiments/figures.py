@@ -253,10 +253,10 @@ def draw_appearances():
     return figure
 
 
-def draw_delta(deltas, delta, part):
+def draw_delta(deltas, with_it, without, part):
     """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
-    for name, colour, text in (("lesson", "robot", "with"), (delta, "run", "without")):
+    for name, colour, text in ((with_it, "robot", "with"), (without, "run", "without")):
         runs = deltas[deltas.delta == name].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
@@ -345,8 +345,8 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
     "episode.gif": lambda: film_episode(*pretrained("env1")),
-    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "GAE"),
-    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "clipping"),
+    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lesson", "lambda", "GAE"),
+    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "passes", "clipping", "clipping"),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "any-room.png": draw_any_room,

@@ -26,7 +26,8 @@ from support.run_folder import check_config
 from support.runs import RunError
 
 PUBLISHED = set(runs.PRETRAINED.values())
-EVERY = LEVEL_1 + LEVEL_2 + LEVEL_2_ABLATIONS + DELTAS + LEVEL_3 + LAB
+EVERY = [*LEVEL_1, *LEVEL_2, *runs.ANY_TARGET, *runs.BUDGET, *LEVEL_2_ABLATIONS, *DELTAS, *LEVEL_3,
+         *LAB, *runs.STOPS]
 RATE = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "timeout": 0.25,
         "spl": 0.12345, "standing": 0.1, "stops": 2.0}
 
@@ -79,7 +80,7 @@ def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folde
                 prepared = evaluating.Examination(options)
                 assert (prepared.folder, prepared.suffix) == (run.folder, f"-{name}")
     folders = {run.folder.name for run in EVERY}
-    assert len(folders) == len(EVERY) == 10 + 20 + 36 + 9 + 36 + 26
+    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 10 + 36 + 12 + 36 + 26 + 20
     assert PUBLISHED < folders
 
 
