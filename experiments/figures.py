@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import scenes
 from evaluation import PATCH, Assignment, Policy, film_episode, rollouts
+from evaluation.measures import wilson
 from experiments.runs import TEST_ROOMS
 from experiments.tables import LAB, ROOMS_LEARNT, ROOT, read
 from render import Camera
@@ -21,12 +22,13 @@ from robot.policy import TorchPolicy
 from robot.robot import drive
 from scenes.generate import share_blocked, walls
 from scenes.reality import parse_reality
-from sim import Scene
+from sim import Scene, flood
 from support.cli import option, parse
 from support.film import write_film
-from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, draw_floor,
-                              draw_path, draw_robot, draw_room, draw_target, draw_trajectories,
-                              legend_below, paint_floor, released_curve, target_handles)
+from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, draw_path,
+                              draw_robot, draw_room, draw_target, draw_trajectories, legend_below,
+                              paint_floor, released_curve, target_handles)
+from support.rooms import validation_scenes
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
@@ -196,12 +198,46 @@ def draw_any_room():
     return figure
 
 
-def draw_any_room_floor():
-    """Draws the success rate for targets in each patch of the floor of one hard test room."""
-    scene = scenes.load("maze0")
-    robots = [Assignment(scene, 0, 10)] * 150
-    traces = rollouts(pretrained("any-room", "mean")[0], robots, "anywhere")
-    return draw_floor(replace(scene, training_targets=(), new_targets=()), traces, PATCH)
+PASSAGES = (0.8, 0.6, 0.5, 0.42, 0.0)  # [m] lower bounds of classes of widths
+
+
+def passage(trace):
+    """Returns the class of the narrowest passage on the widest way of an episode, an index into
+    PASSAGES."""
+    x, y = [np.arange(low, high, 0.025) for low, high in zip(*trace.scene.bounds)]
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
+    clearance = trace.scene.clearance(grid)
+    # A robot may start and arrive close to a wall: that is not a passage.
+    start, goal = [np.hypot(*(grid - place).transpose(2, 0, 1)) < 0.3
+                   for place in (trace.start[:2], trace.goal)]
+    return next(k for k, width in enumerate(PASSAGES)
+                if not width or (flood(clearance > width / 2, start) & goal).any())
+
+
+def draw_touches():
+    """Draws where the any-room policy collides in two rooms, and its success in the validation
+    rooms by the width of the narrowest passage."""
+    driver, _ = pretrained("any-room", "mean")
+    figure, panels = page(4, 1, 3, width_ratios=(1, 1, 1))
+    for axes, name in zip(panels, ("maze0", "maze4")):
+        scene = scenes.load(name)
+        traces = rollouts(driver, [Assignment(scene, 0, 10)] * 50, "anywhere")
+        touches = np.array([trace.poses[-1] for trace in traces if trace.outcome == "collision"])
+        draw_room(axes, replace(scene, training_targets=(), new_targets=()))
+        axes.plot(*touches[:, :2].T, "o", ms=5, alpha=0.5, mew=0, color=PALETTE["collision"])
+        axes.set_title(f"{name}: {len(touches)} collisions\nin {len(traces)} episodes", fontsize=10)
+    robots = [Assignment(scene, 0, 60) for scene in validation_scenes()]
+    traces = rollouts(driver, robots, "anywhere")
+    groups = pd.Series([trace.arrived for trace in traces]).groupby(list(map(passage, traces)))
+    for k, arrived in groups:
+        low, high = wilson(arrived.sum(), len(arrived))
+        panels[2].plot([k, k], [100 * low, 100 * high], color=PALETTE["robot"])
+        panels[2].plot(k, 100 * arrived.mean(), "o", color=PALETTE["robot"])
+    panels[2].set(xticks=range(5), xticklabels=("80", "60", "50", "42", "less"), ylim=(0, 103),
+                  xlabel="narrowest passage: at least [cm]", ylabel="success rate [%]")
+    panels[2].set_title("validation rooms", fontsize=10)
+    panels[2].grid(alpha=0.3)
+    return figure
 
 
 POSE = (0.5, -2.2, 3.3)  # in env2, where the images are taken
@@ -253,10 +289,10 @@ def draw_appearances():
     return figure
 
 
-def draw_delta(deltas, with_it, without, part):
+def draw_delta(deltas, delta, part):
     """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
-    for name, colour, text in ((with_it, "robot", "with"), (without, "run", "without")):
+    for name, colour, text in (("lesson", "robot", "with"), (delta, "run", "without")):
         runs = deltas[deltas.delta == name].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
@@ -345,12 +381,12 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
     "episode.gif": lambda: film_episode(*pretrained("env1")),
-    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lesson", "lambda", "GAE"),
-    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "passes", "clipping", "clipping"),
+    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "GAE"),
+    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "clipping"),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "any-room.png": draw_any_room,
-    "any-room-floor.png": draw_any_room_floor,
+    "touches.png": draw_touches,
     "any-room.gif": lambda: film_episode(  # an arrival; about one episode in five fails
         pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere", seed=6),
     "reality.png": draw_reality,

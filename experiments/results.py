@@ -2,6 +2,7 @@
 `experiments.runs`, then makes tables and figures. If interrupted, the same command resumes."""
 
 import itertools
+import os
 import shutil
 import subprocess
 import sys
@@ -39,15 +40,16 @@ def commands(run):
     """Returns the commands that make the missing files of a run, each a list of words."""
     in_lab = run.stage == "lab"
     training, evaluation = ("robot.train", "robot.evaluate") if in_lab else ("train", "evaluation")
+    folder = os.path.relpath(run.folder, ROOT)  # config.json must not name a machine's folders
     missing = []
     if not run.weights and not (run.folder / "evaluation.json").exists():
-        options = run.training | {"out": run.folder}
+        options = run.training | {"out": folder}
         if (run.folder / "config.json").exists():
-            options = {"resume": run.folder}
+            options = {"resume": folder}
         missing.append([training, *words(options)])
     for name, options in run.evaluations.items():
         if not (run.folder / f"evaluation-{name}.json").exists():
-            missing.append([evaluation, str(run.folder), *words(options | {"workers": 1})])
+            missing.append([evaluation, folder, *words(options | {"workers": 1})])
     return [[sys.executable, "-m", *command] for command in missing]
 
 

@@ -183,13 +183,6 @@ def budgets():
     return grouped(rows, "budget", "success")
 
 
-def peer_success():
-    """Returns the success of other projects' learners at level 2, and of ours."""
-    ours = read("seeds.csv").query("env == 'env1' and way == 'varied' and seed < 3")
-    rows = pd.concat([ours.assign(learner="ours"), read("peers.csv").query("level == 2")])
-    return grouped(rows, "learner", "training_success new_success seconds")
-
-
 def benchmark():
     """Returns the speed of each stage on one core and on all cores."""
     figures = read("benchmark.json")
@@ -209,7 +202,7 @@ def measured(section):
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
     carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, stop_ranges, budgets,
-    peer_success, benchmark)}
+    benchmark)}
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}
