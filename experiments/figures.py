@@ -218,7 +218,7 @@ def draw_touches():
     """Draws where the any-room policy collides in two rooms, and its success in the validation
     rooms by the width of the narrowest passage."""
     driver, _ = pretrained("any-room", "mean")
-    figure, panels = page(4, 1, 3, width_ratios=(1, 1, 1))
+    figure, panels = page(3.2, 1, 3)
     for axes, name in zip(panels, ("maze0", "maze4")):
         scene = scenes.load(name)
         traces = rollouts(driver, [Assignment(scene, 0, 10)] * 50, "anywhere")

@@ -231,7 +231,8 @@ LEVEL_3 = level_3_runs()
 LAB = lab_runs()
 TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
     "level1.csv": (LEVEL_1, summary_rows),
-    "seeds.csv": (LEVEL_2 + ANY_TARGET, summary_rows), "budgets.csv": (BUDGET, budget_rows),
+    "seeds.csv": (LEVEL_2, summary_rows), "any-target.csv": (ANY_TARGET, summary_rows),
+    "budgets.csv": (BUDGET, budget_rows),
     "stops.csv": (STOPS, stop_rows), "hidden.csv": (LEVEL_2, hidden_rows),
     "floor.csv": (LEVEL_2, floor_rows), "curves.csv": (LEVEL_2, curve_rows),
     "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
