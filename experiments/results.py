@@ -32,7 +32,8 @@ OPTIONS = {
 
 def words(options):
     """Returns options (field -> value) as the words of a command line."""
-    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in options.items()]
+    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in options.items()
+             if value is not False]
     return [word for pair in pairs for word in pair if word != "True"]  # flags have no value
 
 

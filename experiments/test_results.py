@@ -184,10 +184,12 @@ def test_the_same_command_resumes_an_interrupted_run(folder, monkeypatch):
     run = Run("level2", {"env": "env1", "way": "none", "seed": 2},
               {"env": "env1", "steps": 2000, "robots": 8, "memory": "none",
                "evaluation_episodes": 2}, {"anywhere": {"protocol": "anywhere", "episodes": 2}})
+    (folder / "ablations.csv").unlink()
     monkeypatch.setitem(TABLES, "ablations.csv", ([run], runs.summary_rows))
     program = ("from pathlib import Path; from experiments import results, runs\n"
                f"runs.RUNS = Path({str(runs.RUNS)!r})\n"
                f"runs.LEVEL_2 = [runs.Run('level2', {run.names}, {run.options}, {{}})]\n"
+               "runs.ANY_TARGET = runs.BUDGET = runs.LEVEL_2_ABLATIONS = runs.DELTAS = []\n"
                "results.main(['--level', '2'])")
     process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, text=True,
                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -200,3 +202,14 @@ def test_the_same_command_resumes_an_interrupted_run(folder, monkeypatch):
     results.make_runs([run], 1)
     assert pd.read_csv(folder / "ablations.csv").steps.tolist() == [2000]
     assert results.commands(run) == []
+
+
+def test_a_run_whose_rows_and_weights_are_published_is_skipped(folder, monkeypatch):
+    monkeypatch.setattr(results, "commands", lambda run: pytest.fail(f"it makes {run.folder}"))
+    results.make_runs(LEVEL_1, 1)
+    monkeypatch.setattr(runs, "PRETRAINED", {"missing": LEVEL_1[0].folder.name})
+    assert not results.is_recorded(LEVEL_1[0]) and results.is_recorded(LEVEL_1[1])
+    rows = pd.read_csv(folder / "level1.csv")
+    rows[1:].to_csv(folder / "level1.csv", index=False)
+    monkeypatch.setattr(runs, "PRETRAINED", {})
+    assert not results.is_recorded(LEVEL_1[0]) and results.is_recorded(LEVEL_1[1])
