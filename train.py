@@ -93,8 +93,7 @@ class Training:
         self.next_stage = (self.stage + 1) * every
         rng = np.random.default_rng([self.config.seed, parallel.rank(), self.steps])
         env_seed, action_seed = rng.integers(2 ** 31, size=2).tolist()
-        self.rooms.begin_stage(self.stage)
-        rooms = [self.rooms.of_robot(r) for r in self.robots]
+        rooms = [self.rooms.of_robot(r, self.stage) for r in self.robots]
         self.env = self.environment(len(rooms), rooms, self.config.targets,
                                     self.config.random_starts)
         self.collector = Collector(self.env, self.model, REWARD_SCALE, env_seed, action_seed)
@@ -153,7 +152,6 @@ class Training:
     def record(self, row):
         """Counts an episode, given its row of episodes.csv, and writes the row."""
         self.episodes += 1
-        self.rooms.count(row)
         if self.folder:
             self.folder.tables["episodes.csv"].add(row)
         self.arrivals[row["kind"]].append(row["outcome"] == "arrival")

@@ -47,7 +47,7 @@ def evaluate_many(training):
     """Evaluates level 3 with mean actions, in the last training rooms and in new rooms."""
     frozen = {"protocol": "anywhere", "actions": "mean", "hidden": "", "training": None,
               "new": None, "targets": []}
-    for kind, scenes in training.rooms.by_kind().items():
+    for kind, scenes in training.rooms.by_kind(training.stage).items():
         if scenes:
             frozen[kind] = evaluate_policy(training, scenes, "mean", "anywhere")["anywhere"]
     return frozen

@@ -165,10 +165,22 @@ def peaks():
 
 
 def stops():
-    """Returns the runs that stop by the paper's rule."""
-    runs = [read(f"env1-seed{seed}.json") for seed in range(5)]
-    rows = rates(pd.json_normalize(runs, sep="_")).sort_values("frozen_new_success")
-    return rows["seed steps seconds rolling_new_success frozen_new frozen_training".split()].values
+    """Returns the runs in env1 with two processes that stop by the paper's rule."""
+    rows = read("stops.csv").query("env == 'env1' and processes == 2").sort_values("new_success")
+    return rows["seed steps seconds rolling_new_success new training".split()].values
+
+
+def stop_ranges():
+    """Returns the ranges of all runs that stop by the paper's rule."""
+    groups = read("stops.csv").groupby(["env", "processes"])
+    return groups["steps seconds new_success training_success".split()].agg(
+        lambda values: f"{text(values.min())} to {text(values.max())}").reset_index().values
+
+
+def budgets():
+    """Returns the success rate on the worst target in env1 after fixed budgets."""
+    rows = read("budgets.csv").groupby(["budget", "seed"], as_index=False).success.min()
+    return grouped(rows, "budget", "success")
 
 
 def benchmark():
@@ -189,7 +201,8 @@ def measured(section):
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
-    carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, benchmark)}
+    carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, stop_ranges, budgets,
+    benchmark)}
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}

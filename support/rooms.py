@@ -1,5 +1,5 @@
 """Assigns a room to each robot of a training run. A given room stays the same. Random rooms change
-from stage to stage, and a few robots drive in validation rooms, which are never trained on."""
+at every stage, and a few robots drive in validation rooms, which are never trained on."""
 
 import functools
 from dataclasses import fields, replace
@@ -12,7 +12,6 @@ from sim import Scene
 RANDOM = "random"  # the value of `--env`
 VALIDATION_ROOMS = 16  # random:0 to random:15, never trained on, our choice
 FIRST_ROOM = 1_000_000  # a run with seed k trains in rooms numbered from (k + 1) * FIRST_ROOM up
-SOLVED = 0.8  # success rate in a stage at which a room counts as solved, our choice
 DRAWS = 3  # draws of a start, at most, until a box blocks the straight line to the goal, our choice
 
 
@@ -60,7 +59,6 @@ def training_room(number):
 
 class GivenRooms:
     """Given rooms. At level 2 the last robots drive in mirrored rooms."""
-    state = None  # for a checkpoint
 
     def __init__(self, config, scenes):
         self.scenes = scenes
@@ -68,13 +66,7 @@ class GivenRooms:
         mirrored = config.mirrored if config.targets == "both" else 0
         self.first_in_mirror = config.robots - int(config.robots * mirrored)
 
-    def begin_stage(self, stage):
-        """Changes the rooms of a new stage."""
-
-    def count(self, row):
-        """Counts an episode, given its row of episodes.csv."""
-
-    def of_robot(self, r):
+    def of_robot(self, r, stage):
         """Returns the Scene that robot r drives in."""
         rooms = self.scenes if r < self.first_in_mirror else self.mirrors
         return rooms[r % len(rooms)]
@@ -83,14 +75,13 @@ class GivenRooms:
         """Returns whether robot r drives in a validation room: its episodes are not trained on."""
         return False
 
-    def by_kind(self):
+    def by_kind(self, stage):
         """Returns Scenes to evaluate after training: the last training rooms, and new ones."""
         return {"training": self.scenes, "new": []}
 
 
 class RandomRooms:
-    """Random rooms, with the methods of GivenRooms. At every stage the robots change rooms, but
-    every second one stays until it has solved its room. So hard rooms are driven in more often."""
+    """Random rooms, with the methods of GivenRooms. At every stage all robots change rooms."""
 
     def __init__(self, config, scenes):
         self.validation = scenes
@@ -98,37 +89,20 @@ class RandomRooms:
         self.learning = config.robots - watched  # number of the first robots, which are trained on
         self.first_room = FIRST_ROOM * (1 + config.seed % 900)  # the highest number is 10 ** 9
         self.rooms = config.rooms or FIRST_ROOM  # number of rooms; FIRST_ROOM for always new ones
-        # For a checkpoint: the stage that each robot's room is from, and arrivals by room.
-        self.state = {"stages": [0] * config.robots, "arrivals": {}}
 
-    def begin_stage(self, stage):
-        for r in range(len(self.state["stages"])):
-            arrivals = self.state["arrivals"].get(self.number(r), [])
-            stays = r % 2 and arrivals and sum(arrivals) <= SOLVED * len(arrivals)
-            if not stays or self.is_watched(r):
-                self.state["stages"][r] = stage
-        self.state["arrivals"] = {}
-
-    def count(self, row):
-        number = generate.seed_of(row["scene"].replace("-", ":"))
-        self.state["arrivals"].setdefault(number, []).append(row["outcome"] == "arrival")
-
-    def number(self, r):
-        """Returns the number of robot r's room."""
-        stage = self.state["stages"][r]
-        if self.is_watched(r):
-            return (r + stage) % len(self.validation)
+    def number(self, r, stage):
+        """Returns the room number of robot r, which is not watched."""
         return self.first_room + (r + stage * self.learning) % self.rooms
 
-    def of_robot(self, r):
-        number = self.number(r)
-        return self.validation[number] if self.is_watched(r) else training_room(number)
+    def of_robot(self, r, stage):
+        if self.is_watched(r):
+            return self.validation[(r + stage) % len(self.validation)]
+        return training_room(self.number(r, stage))
 
     def is_watched(self, r):
         return r >= self.learning
 
-    def by_kind(self):
-        changing = range(0, self.learning, 2)  # hard rooms are more frequent among the others
-        numbers = list(dict.fromkeys(self.number(r) for r in changing))
+    def by_kind(self, stage):
+        numbers = list(dict.fromkeys(self.number(r, stage) for r in range(self.learning)))
         return {"training": [generate.room(k) for k in numbers[:VALIDATION_ROOMS]],
                 "new": self.validation}

@@ -160,7 +160,6 @@ def state_of(training):
     counted = {name: getattr(training, name) for name in COUNTED}
     return counted | {"model": training.model.state_dict(),
                       "optimizer": training.optimizer.state_dict(),
-                      "rooms": training.rooms.state,
                       "rngs": parallel.gather(training.rng.bit_generator.state)}
 
 
@@ -168,7 +167,6 @@ def restore(training, state):
     """Restores the state of a Training with the same config."""
     training.model.load_state_dict(state["model"])
     training.optimizer.load_state_dict(state["optimizer"])
-    training.rooms.state = state["rooms"]
     training.rng.bit_generator.state = state["rngs"][parallel.rank()]
     for name in COUNTED:
         setattr(training, name, state[name])
