@@ -323,7 +323,8 @@ for _name in set(scene_files.names()) - {"lab"}:  # the lab is robot:NavBot-lab-
                  vector_entry_point="navbot_min:NavVecEnv", kwargs={"scenes": (_name,)},
                  max_episode_steps=MAX_EPISODE_STEPS)
 gym.register("NavBot-random-v1", entry_point="support.random_rooms:RandomRoomsEnv",
-             vector_entry_point="support.random_rooms:RandomRoomsVecEnv", max_episode_steps=MAX_EPISODE_STEPS)
+             vector_entry_point="support.random_rooms:RandomRoomsVecEnv",
+             max_episode_steps=MAX_EPISODE_STEPS)
 
 
 if __name__ == "__main__":

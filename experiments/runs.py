@@ -148,7 +148,7 @@ def summary_rows(run):
 def stop_rows(run):
     """Returns a run's row of stops.csv: when it stopped, and how its frozen policy drives."""
     summary = run.read("summary.json")
-    row = run.names | {key: summary[key] for key in ("steps", "seconds", "rolling_new_success")}
+    row = run.names | {key: summary[key] for key in ("steps", "rolling_new_success")}
     for kind in ("new", "training"):
         row |= rates(summary["frozen"][kind], RATES[:-1], f"{kind}_")
     return [row]

@@ -167,13 +167,13 @@ def peaks():
 def stops():
     """Returns the runs in env1 with two processes that stop by the paper's rule."""
     rows = read("stops.csv").query("env == 'env1' and processes == 2").sort_values("new_success")
-    return rows["seed steps seconds rolling_new_success new training".split()].values
+    return rows["seed steps rolling_new_success new training".split()].values
 
 
 def stop_ranges():
     """Returns the ranges of all runs that stop by the paper's rule."""
     groups = read("stops.csv").groupby(["env", "processes"])
-    return groups["steps seconds new_success training_success".split()].agg(
+    return groups["steps new_success training_success".split()].agg(
         lambda values: f"{text(values.min())} to {text(values.max())}").reset_index().values
 
 

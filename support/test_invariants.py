@@ -46,8 +46,8 @@ def drives(left_in_memory=0):
     have not been written yet."""
     steps = []
 
-    def empty(shape, dtype=float):
-        return np.full(shape, left_in_memory, dtype)
+    def empty(shape, dtype=float, order="C"):
+        return np.full(shape, left_in_memory, dtype, order)
     with patch.object(np, "empty", empty):
         for seed, scene in enumerate(ROOMS):
             rng = np.random.default_rng(seed)
