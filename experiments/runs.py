@@ -138,9 +138,8 @@ def summary_rows(run):
     files = ["evaluation.json", *(f"evaluation-{name}.json" for name in run.evaluations)]
     for prefix, (which, kind) in SUMMARIES[run.stage].items():
         row |= rates(run.read(files[which])[kind], keys, f"{prefix}_")
-    if run.stage in ("level2", "any-target"):
-        targets = run.read(files[SUMMARIES[run.stage]["new"][0]])["targets"]
-        arrive = [target["mean_action_arrives"] for target in targets]
+    if run.stage == "level2":
+        arrive = [goal["mean_action_arrives"] for goal in run.read("evaluation.json")["targets"]]
         row["mean_action_arrives"] = f"{sum(arrive)} of {len(arrive)}"
     return [row]
 

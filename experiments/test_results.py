@@ -49,7 +49,10 @@ def finish(run):
     targets = [RATE | {"x": 1.0, "y": 2.0, "kind": kind, "mean_action_arrives": arrives}
                for kind, arrives in (("training", True), ("validation", False))]
     result = {"training": RATE, "new": RATE, "anywhere": RATE, "targets": targets}
-    files = {f"evaluation-{name}": result for name in run.evaluations} | {"evaluation": result}
+    later = result | {"targets": [  # only the evaluation after training has deterministic actions
+        {key: value for key, value in target.items() if key != "mean_action_arrives"}
+        for target in targets]}
+    files = {f"evaluation-{name}": later for name in run.evaluations} | {"evaluation": result}
     files["summary"] = {"steps": 64, "episodes": 7, "seconds": 1.5, "rolling_new_success": 0.61,
                         "frozen": result}
     for name, content in files.items():
@@ -92,6 +95,7 @@ def test_rows_have_the_columns_of_the_published_table_and_replace_older_ones(nam
     members, rows_of = TABLES[name]
     run = members[-1]
     finish(run)
+    assert rows_of(run)
     if not (folder / name).exists():
         pytest.skip(f"results/{name} is not made yet")
     published = pd.read_csv(folder / name)

@@ -1,4 +1,4 @@
-"""Level 3 as an environment, `NavBot-random-v1`, for learners that do not change rooms themselves."""
+"""Level 3 as an environment, `NavBot-random-v1`, for learners that do not change rooms."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ EPISODES_PER_ROOM = 16  # about as many as in our training
 
 
 class RandomRoomsVecEnv(NavVecEnv):
-    """Level 3 for any learner: each robot drives EPISODES_PER_ROOM episodes in one random room, then
-    in the next one. The rooms are drawn with the environment's seed; they are never those to
-    validate in. Targets and starts are drawn as in our training."""
+    """Level 3 for any learner: each robot drives EPISODES_PER_ROOM episodes in one random room and
+    then in the next. Rooms follow from the environment's seed, and are never validation rooms.
+    Targets and starts are drawn as in our training."""
 
     def __init__(self, num_envs=32, max_episode_steps=MAX_EPISODE_STEPS):
         """Arguments: as for NavVecEnv."""
