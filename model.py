@@ -104,10 +104,10 @@ class Network(nn.Module):
         return torch.zeros(M, len(self.memories), 2, HIDDEN, device=self.log_std.device)
 
     @torch.no_grad()
-    def limit_std(self, fraction):
-        """Limits the standard deviation of the actions to a fraction of its initial value."""
-        limit = torch.tensor(INITIAL_STD) * fraction
-        self.log_std.clamp_(max=limit.log().to(self.log_std.device))
+    def limit_std(self, lowest, highest):
+        """Limits the standard deviation of the actions. Limits: fractions of its initial value."""
+        initial = torch.tensor(INITIAL_STD, device=self.log_std.device)
+        self.log_std.clamp_((lowest * initial).log(), (highest * initial).log())
 
     def see(self, images):
         """Returns features (B, FEATURES) of images (B, H, W, 3) uint8."""

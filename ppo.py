@@ -5,7 +5,7 @@ GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes o
 real steps (those that are not padding), N episodes per update, K epochs.
 
 Instead of an entropy bonus, the standard deviation of the actions is a parameter that starts large
-and shrinks as the policy learns. `Training.learn` also limits it.
+and shrinks as the policy learns, within the limits of `Training.limit_std`.
 """
 
 from dataclasses import dataclass

@@ -799,12 +799,11 @@ def test_the_rule_stops_at_once_unless_the_budget_is_fixed(fixed_budget, monkeyp
         assert training.steps == training.folder.episodes[-1]["steps"]
 
 
-def test_the_standard_deviation_is_limited_and_never_raised():
+def test_the_standard_deviation_stays_between_its_limits():
     net = network()
-    for fraction, expected in ((2.0, 1.0), (0.5, 0.5), (0.8, 0.5)):
-        net.limit_std(fraction)
-        limited = torch.tensor(model.INITIAL_STD) * expected
-        assert torch.allclose(net.log_std.exp(), limited)
+    for lowest, highest, expected in ((0.5, 2, 1), (0.25, 0.5, 0.5), (0.1, 0.8, 0.5), (0.6, 1, 0.6)):
+        net.limit_std(lowest, highest)
+        assert torch.allclose(net.log_std.exp(), torch.tensor(model.INITIAL_STD) * expected)
 
 
 @pytest.mark.parametrize("arrivals, failures, met", [
@@ -818,13 +817,14 @@ def test_the_rule_needs_more_than_60_arrivals_in_100_test_episodes(arrivals, fai
 
 
 def test_learning_rate_and_standard_deviation_decay_with_the_budget(monkeypatch):
-    fractions = []
+    limits = []
     monkeypatch.setattr(train, "update", lambda _, adam, *__: {"lr": adam.param_groups[0]["lr"]})
-    monkeypatch.setattr(model.Network, "limit_std", lambda self, limit: fractions.append(limit))
+    monkeypatch.setattr(model.Network, "limit_std", lambda self, *both: limits.append(both))
     training = train_on(train.Config(steps=2000, fixed_budget=True, robots=16, minibatches=1,
                                      episodes_per_update=2))
     steps, rates = zip(*((row["steps"], row["lr"]) for row in training.folder.updates))
-    assert fractions == pytest.approx(np.interp(steps, [0, 1700, 2000], [1, 1, 0.2]))
+    highest = np.interp([*steps, 2000], [0, 1700, 2000], [1, 1, 0.1])
+    assert np.allclose(limits, np.stack([highest / 2, highest], -1))
     assert min(steps) < 1700 and sum(1700 < s < 2000 for s in steps) >= 2
     assert rates == pytest.approx(1e-3 * (1 - np.array(steps) / 2000))
 

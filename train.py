@@ -1,7 +1,6 @@
 """Algorithm 1: train on the training targets, record success on new ones, stop by the paper's rule.
 
-`python train.py --env env1` trains from scratch, evaluates the frozen policy on fresh episodes and
-writes a run folder (docs/code.md).
+`python train.py --env env1` trains, evaluates the frozen policy and writes a run folder.
 """
 
 import math
@@ -22,8 +21,9 @@ from support.run_folder import begin_run, open_folder, report_errors, restore, s
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # episodes of a rolling success rate, paper IV-B
-FINAL_STD = 0.2  # final standard deviation of actions, relative to the initial one, our choice
-ANNEALING = 0.15  # last fraction of the steps, in which it decays to FINAL_STD, our choice
+LEAST_STD = 0.5  # lower limit of the actions' standard deviation, of the upper one, our choice
+FINAL_STD = 0.1  # final upper limit, as a fraction of the initial value, our choice
+ANNEALING = 0.15  # last fraction of the steps, in which it falls to FINAL_STD, our choice
 STAGE = 50_000  # steps, summed over 64 robots, between two checkpoints, our choice
 COUNT_EVERY = 4  # steps between two counts of the episodes of all processes, our choice
 RULE = f"more than {WINDOW * SUCCESS_RATE:.0f} of the last {WINDOW} test episodes succeed"
@@ -159,19 +159,23 @@ class Training:
 
     def learn(self, episodes):
         """Makes one update, writes its row of updates.csv and returns it. The learning rate decays
-        linearly to 0 as the budget is used up. The standard deviation of the actions is limited to
-        its initial value; in the last part of the budget the limit shrinks to FINAL_STD of it."""
-        left = max(1 - self.progress(), 0)
-        self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * left
+        linearly to 0 as the budget is used up."""
+        self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - self.progress())
         statistics = update(self.model, self.optimizer, episodes, self.config, self.rng,
                             parallel.total)
-        self.model.limit_std(FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1))
         row = {"steps": self.steps} | statistics
         row["steps_per_second"] = round(self.steps / max(self.seconds, 1e-9), 1)
         if self.folder:
             self.folder.tables["updates.csv"].add(row)
             self.folder.offer_weights(self.model, self.scenes)
         return row
+
+    def limit_std(self):
+        """Limits the standard deviation of the actions. The limits fall at the end of the budget:
+        before, exploration helps to learn; after, noise does not disturb the frozen policy."""
+        left = max(1 - self.progress(), 0)
+        highest = FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1)
+        self.model.limit_std(LEAST_STD * highest, highest)
 
     def save(self):
         """Writes a checkpoint and the weights. Call it in all processes."""
@@ -220,6 +224,7 @@ def train(training):
             bar.update(training.steps - bar.n)
             if not training.is_over():
                 training.learn(episodes)  # lines 7, 8
+            training.limit_std()
     training.save()
 
 
