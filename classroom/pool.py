@@ -10,7 +10,8 @@ import scenes
 from classroom.drive import policy_for, rows_of, same_tasks, summary, table
 from sim import SceneError
 from support.cli import option, parse
-from support.pictures import PALETTE, WIDTH, save
+from support.palette import PALETTE
+from support.pictures import WIDTH, save
 from support.runs import RunError
 
 COLUMNS = dict(name=str, env=str, seed=int, episode=int, outcome=str, seconds=float, spl=float)

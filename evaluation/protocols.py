@@ -24,6 +24,14 @@ def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv
     its target. hidden: `place` (the observed distance and bearing are 0), `cube` (the camera does
     not show the target), `both`, or "". environment: NavVecEnv or a subclass."""
     env = environment(len(targets), scenes, targets, level=PROTOCOLS[protocol])
+    hide(env, hidden)
+    return env
+
+
+def hide(env, hidden):
+    """Hides a part of the target from now on; `hidden` as in `make_environment`."""
+    vars(env).pop("observe", None)  # what was hidden before
+    vars(env.camera).pop("render", None)
     observe = env.observe
     render = env.camera.render
     if hidden in ("place", "both"):
@@ -31,7 +39,6 @@ def make_environment(protocol, scenes, targets, hidden="", environment=NavVecEnv
             observe(robots, *seen) | {"target": np.zeros((len(robots), 2), np.float32)})
     if hidden in ("cube", "both"):
         env.camera.render = lambda rooms, poses, cubes: render(rooms, poses, cubes + OUT_OF_SIGHT)
-    return env
 
 
 def validation_scene(scene):

@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image
 
 from evaluation.drivers import Policy
@@ -19,9 +18,10 @@ from model import REWARD_SCALE
 from navbot_min import NavVecEnv
 from render import CUBE_SIZE, H, W
 from sim import CONTROL_PERIOD, ROBOT_RADIUS
-from support.pictures import PALETTE
+from support.palette import PALETTE
 
 PAGE = Path(__file__).with_suffix(".html")
+DRAWING = Path(__file__).with_name("drawing.js")  # shared with the playground
 TRIED = 48  # number of episodes from which a success and a failure are chosen
 COLUMNS = 16  # number of images per row in the sheet of an episode
 
@@ -29,12 +29,17 @@ COLUMNS = 16  # number of images per row in the sheet of an episode
 class RecordingPolicy(Policy):
     """A Policy that keeps activations of its network in `activations`, (R, ...) arrays."""
 
+    def __init__(self, model, actions, seed):
+        super().__init__(model, actions, seed)
+        model.cnn.register_forward_hook(self._keep_features)
+
+    def _keep_features(self, cnn, images, features):
+        self._features = features.numpy()
+
     def act(self, env, observations):
         actions = super().act(env, observations)
-        with torch.no_grad():
-            features = self.model.see(torch.as_tensor(observations["image"]))
         self.activations = {"value": self.values.numpy() / REWARD_SCALE,
-                            "features": features.numpy(),
+                            "features": self._features[:len(actions)],  # the rest is padding
                             "memory": self.memory[:, :, 0].numpy()}
         return actions
 
@@ -103,4 +108,5 @@ def make_page(title, model, actions, scene, protocol, seed, environment=NavVecEn
                   for box in scene.boxes],
         "episodes": episodes}
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
-    return PAGE.read_text(encoding="utf-8").replace("DATA", text, 1)
+    page = PAGE.read_text(encoding="utf-8").replace("DRAWING", DRAWING.read_text("utf-8"), 1)
+    return page.replace("DATA", text, 1)

@@ -18,7 +18,7 @@ from evaluation.replay import COLUMNS, RecordingPolicy, as_episode, make_page
 from model import REWARD_SCALE
 from render import H, W
 from sim import ARRIVAL_DISTANCE
-from support.pictures import PALETTE
+from support.palette import PALETTE
 from support.weights import load_model
 
 WEIGHTS = "pretrained/env1.safetensors"

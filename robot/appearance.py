@@ -79,6 +79,11 @@ class Cameras:
         self.appearance_of = appearance_of
         self.cameras = {}  # appearance -> camera, made on first use
 
+    def set_scene(self, i, scene):
+        """Replaces scene number i by another Scene, which the caller has put into the list."""
+        for camera in self.cameras.values():
+            camera.set_scene(i, scene)
+
     def render(self, scene_of, poses, targets):
         images = np.empty((len(poses), H, W, 3), np.uint8)
         for appearance in set(self.appearance_of[scene_of]):

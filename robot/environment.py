@@ -61,6 +61,7 @@ class RealVecEnv(NavVecEnv):
         for name, item in ERRORS.items():
             setattr(self, name, np.zeros((R, *np.shape(item.default))))
         self.estimates = np.zeros((R, 3))  # poses by odometry
+        self._last_estimates = np.zeros((R, 3))  # the same before the last period
         self.asked = np.zeros((R, 2))  # [m/s, rad/s] commands to the wheels
         self.stops = np.zeros(R, int)  # periods stopped by the ring in the current episodes
         self._drift = np.zeros((R, 2))  # relative errors of distance and turn
@@ -69,6 +70,7 @@ class RealVecEnv(NavVecEnv):
         self._last_poses = np.zeros((R, 3))  # true poses before the last period
         self._standing = np.zeros(R, int)  # periods since the last forward motion
         self._failed = np.zeros(R, bool)  # the result of the last `drive`
+        self._is_new = np.zeros(R, bool)  # True until the first observation of an episode
 
     @staticmethod
     def check_rooms(scenes):
@@ -100,21 +102,27 @@ class RealVecEnv(NavVecEnv):
         is_standing = self.has_ring & ~collided & (commands[:, 0] < STANDING_SPEED)
         self._standing = np.where(is_standing, self._standing + 1, 0)
         self._failed = collided | (self._standing >= STANDING_STEPS)
+        self._last_estimates = self.estimates
+        self.estimates = self._odometry(self.world.poses)
         return self._failed
+
+    def _begin(self, robots, options):
+        self._is_new[robots] = True
+        return super()._begin(robots, options)
 
     def observe(self, robots, poses, goals, velocities, last_rewards):
         """Returns observations of these robots (n,): images with their cameras' errors, target and
         last reward by odometry, and the velocity of the command that the wheels got."""
-        begins = not self._steps[robots].any()  # either all these episodes begin or none
-        if begins:
+        is_new = self._is_new[robots].all()  # either all these episodes begin or none
+        if is_new:
             for r in robots:
                 self._begin_episode(r)
             self.estimates[robots] = poses
-        else:
-            before = polar_targets(self.estimates, goals)[:, 0]
-            self.estimates = self._odometry(poses)
-            after = polar_targets(self.estimates, goals)[:, 0]
-            ended = self._failed | (polar_targets(poses, goals)[:, 0] < ARRIVAL_DISTANCE)
+            self._is_new[robots] = False
+        elif self._steps.any():
+            before = polar_targets(self._last_estimates[robots], goals)[:, 0]
+            after = polar_targets(self.estimates[robots], goals)[:, 0]
+            ended = self._failed[robots] | (polar_targets(poses, goals)[:, 0] < ARRIVAL_DISTANCE)
             # Except at the end of an episode, the true reward would reveal the true distance.
             believed = self.reward(before, after, False & ended, False & ended)
             last_rewards = np.where(ended, last_rewards, believed)
@@ -127,7 +135,7 @@ class RealVecEnv(NavVecEnv):
         images = shift_rows(seen["image"].astype(np.float32), rows)
         images = images * gains[:, None, None].astype(np.float32)
         images = images.clip(0, 255).round().astype(np.uint8)
-        is_old = self.is_late[robots, None, None, None] & (not begins)
+        is_old = self.is_late[robots, None, None, None] & (not is_new)
         seen["image"] = np.where(is_old, self._last_images[robots], images)
         self._last_images[robots] = images
         return seen

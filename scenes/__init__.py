@@ -48,13 +48,43 @@ def load(name_or_path):
           f"{', '.join(names())}, random:SEED, or the path of a scene file")
     try:
         text = path.read_text("utf-8-sig")  # some editors write a byte order mark first
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"scene file {name!r} cannot be used: {reason}") from None
+    return read(text, path)
+
+
+def read(text, path):
+    """Returns the Scene described by the text of a scene file or, if the path ends like one, of a
+    Gazebo world. The path is only a name here. Raises SceneError."""
+    try:
         if path.suffix.lower() in WORLDS:
             from scenes.world_file import parse_world
             return parse_world(text, path.stem)
         return parse(tomllib.loads(text), path.stem)
-    except (OSError, ValueError, RecursionError) as error:  # SceneErrors are ValueErrors
-        reason = getattr(error, "strerror", None) or error
-        raise SceneError(f"scene file {name!r} cannot be used: {reason}") from None
+    except (ValueError, RecursionError) as error:  # SceneErrors are ValueErrors
+        raise SceneError(f"scene file {str(path)!r} cannot be used: {error}") from None
+
+
+def to_toml(scene):
+    """Returns the text of a scene file for a Scene without errors of a real robot. Positions are
+    rounded to millimetres, angles to hundredths of a degree."""
+    def pose(start):
+        x, y, heading = start
+        return f"{{ x = {x:.3f}, y = {y:.3f}, heading_degrees = {math.degrees(heading):.2f} }}"
+
+    def places(targets):
+        return ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in targets)
+
+    boxes = [f'  {{ material = "{box.material}", x = {box.x:.3f}, y = {box.y:.3f}, '
+             f"yaw_degrees = {math.degrees(box.yaw):.2f}, length = {box.length:.3f}, "
+             f"thickness = {box.thickness:.3f}, height = {box.height:.3f} }},"
+             for box in scene.boxes]
+    return "\n".join([f"start = {pose(scene.start)}",
+                      f"other_starts = [{', '.join(map(pose, scene.other_starts))}]",
+                      f"training_targets = [{places(scene.training_targets)}]",
+                      f"new_targets = [{places(scene.new_targets)}]",
+                      "boxes = [", *boxes, "]", ""])
 
 
 def rebuild(fields):

@@ -3,7 +3,8 @@
 from functools import partial
 
 # Must be imported before matplotlib.
-from support.pictures import PALETTE, draw_robot, draw_room, draw_target, kind_of
+from support.palette import PALETTE
+from support.pictures import draw_robot, draw_room, draw_target, kind_of
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg

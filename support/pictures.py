@@ -20,6 +20,7 @@ from matplotlib.patches import Circle, Patch, Rectangle
 
 from render import CUBE_SIZE
 from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS
+from support.palette import PALETTE
 from support.runs import read_table, write
 
 if "matplotlib.pyplot" not in sys.modules:  # programs that use pyplot keep their settings
@@ -35,17 +36,6 @@ KINDS = {  # task -> kind of episodes -> name in a picture
     "anywhere": {"training": "training rooms", "new": "new rooms"}}
 FEWEST = 5  # episodes in a patch of the floor, otherwise no success rate is shown
 
-# Colours of one picture differ for colour-blind readers too.
-PALETTE = {
-    "training": "#1f4fd8", "new": "#22b14c",  # targets, colours of Fig. 3
-    "arrival": "#00708a", "collision": "#d7191c", "timeout": "#e6a800",  # outcomes
-    "standing": "#7a4fb5",
-    "one-start": "#b35806", "varied": "#542788",  # ways to train
-    "run": "#9e0f66", "paper": "#9a9a9a",  # this run, the paper's released records
-    "wall": "#d3ccc4", "brick": "#bd7f73", "wood": "#e6c08f",  # boxes, paler than in the camera
-    "robot": "#222222", "goal": "#6b6b6b",  # a random target
-    "cube": "#1414eb",  # every target in the camera image
-    "input": "#fbe9c9", "layer": "#e3e8ee", "memory": "#f3d9e3", "output": "#d8ebe6"}  # diagrams
 MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
 # Legend entries: the robot at its start, and a patch of the floor without a colour.

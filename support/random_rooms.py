@@ -5,7 +5,7 @@ import numpy as np
 from navbot_min import MAX_EPISODE_STEPS, NavEnv, NavVecEnv
 from scenes.generate import MOST_SEED
 from support.checks import check
-from support.rooms import FIRST_ROOM, training_room
+from support.rooms import FIRST_ROOM, change_room, training_room
 
 EPISODES_PER_ROOM = 16  # about as many as in our training
 
@@ -32,10 +32,8 @@ class RandomRoomsVecEnv(NavVecEnv):
     def sample_episode(self, r):
         """Draws robot r's next episode, and from time to time its next room."""
         if self._episodes[r] % EPISODES_PER_ROOM == 0:
-            room = training_room(int(self.np_random.integers(FIRST_ROOM, MOST_SEED)))
-            self.scenes[r] = room
-            self.world.set_scene(r, room)
-            self.camera.set_scene(r, room)
+            number = int(self.np_random.integers(FIRST_ROOM, MOST_SEED))
+            change_room(self, r, training_room(number))
         self._episodes[r] += 1
         return super().sample_episode(r)
 

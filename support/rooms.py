@@ -57,6 +57,13 @@ def training_room(number):
     return TrainingRoom(**{field.name: getattr(room, field.name) for field in fields(room)})
 
 
+def change_room(env, r, scene):
+    """Puts robot r of a NavVecEnv, which has one Scene per robot, at the start pose of another."""
+    env.scenes[r] = scene
+    env.world.set_scene(r, scene)
+    env.camera.set_scene(r, scene)
+
+
 class GivenRooms:
     """Given rooms. At level 2 the last robots drive in mirrored rooms."""
 

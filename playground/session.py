@@ -1,0 +1,350 @@
+"""The robot behind the page: its room, its driver, and what a page may request.
+
+One thread runs the session: it drives, and does what the pages request between two steps.
+"""
+
+import base64
+import queue
+import re
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+import scenes
+from evaluation.drivers import Planned
+from evaluation.protocols import HIDDEN, hide, make_environment
+from playground.choices import YOU, make_driver
+from playground.server import Feed
+from robot.environment import environment_of
+from sim import ARRIVAL_DISTANCE, CELL, CONTROL_PERIOD, ROBOT_RADIUS, SceneError
+from support.palette import PALETTE
+from support.rooms import change_room
+from support.runs import RunError
+
+ROBOT = np.array([0])  # the index of the only robot
+KEYS = {"ArrowUp": (1, 0), "ArrowLeft": (0, 1), "ArrowRight": (0, -1)}  # key -> action
+HOLD = 1.5  # [s] for which an episode's end is shown, at most
+SPEEDS = (0.25, 16)  # slowest and fastest, times real time
+NAMES = {"training_targets[0]": "the target at", "start (": "the robot at ("}  # in messages
+STILL = 0.05  # [s] a late step is not made up for if it is later than this
+
+
+class Session(Feed):
+    """One robot in a room. Attributes that begin with an underscore belong to its thread."""
+
+    def __init__(self, room, driver):
+        """room, driver: names. Raises SceneError, RunError."""
+        super().__init__()
+        self._message = ""
+        self._runs = True
+        self._speed = 1.0
+        self._held = ()  # keys
+        self._hidden = ""
+        self._waiting = []  # names of drivers that will drive the same task
+        self._paths = []  # of the earlier episodes of this task
+        self._choose(driver, begins=False)
+        self._enter(scenes.load(room))
+
+    # ------------------------------------------------------------------------------ the requests
+
+    def answer(self, request):
+        """Does what a page requests: name -> argument. Raises SceneError, RunError, ValueError,
+        TypeError, KeyError."""
+        actions = {"run": self._run_or_pause, "step": self._single_step, "speed": self._set_speed,
+                   "keys": self._hold, "hide": self._hide, "driver": self._choose,
+                   "again": self._repeat, "another": self._begin_another, "compare": self._compare,
+                   "target": self._move_target, "robot": self._move_robot,
+                   "boxes": self._change_boxes, "room": self._load, "file": self._read}
+        for name, argument in request.items():
+            actions[name](argument)
+
+    def _run_or_pause(self, runs):
+        self._runs = bool(runs)
+
+    def _single_step(self, _):
+        self._runs = False
+        self._step()
+
+    def _set_speed(self, speed):
+        self._speed = float(np.clip(float(speed), *SPEEDS))
+
+    def _hold(self, keys):
+        self._held = [key for key in KEYS if key in keys]
+
+    def _hide(self, what):
+        if what not in HIDDEN:
+            raise ValueError(f"hide is {what!r}; it must be one of {HIDDEN}")
+        self._hidden = what
+        hide(self._env, what)
+        self._look()
+
+    def _choose(self, name, begins=True):
+        """Lets another driver take over, in the middle of the episode."""
+        self._driver, self._run = make_driver(name)
+        self._name = name
+        if begins:
+            self._driver.reset(self._env, ROBOT)
+
+    def _repeat(self, _):
+        """Begins the same task again."""
+        self._begin(self._task)
+
+    def _begin_another(self, _):
+        """Begins a random task."""
+        self._paths = []
+        self._waiting = []
+        self._begin()
+
+    def _compare(self, names):
+        """Lets several drivers drive the same task, one after the other."""
+        self._paths = []
+        self._waiting = [str(name) for name in names]
+        self._runs = True
+        self._next_episode()
+
+    def _move_target(self, place):
+        place = checked(place, 2)
+        x, y = place
+        if not self._scene.clearance(place) > 0 or self._away(place) >= ARRIVAL_DISTANCE:
+            raise SceneError(f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
+        self._leave_end()
+        self._env.goals[0] = place
+        self._moved()
+
+    def _move_robot(self, pose):
+        pose = checked(pose, 3)
+        x, y, _ = pose
+        if not self._scene.fits(pose):
+            raise SceneError(f"the robot at ({x:.2f}, {y:.2f}) is nearer to a box than its radius, "
+                             f"{ROBOT_RADIUS} m")
+        if self._away(pose[:2]) >= 2 * CELL:
+            raise SceneError(f"no path leads to the robot at ({x:.2f}, {y:.2f})")
+        self._leave_end()
+        self._put(pose)
+        self._moved()
+
+    def _change_boxes(self, boxes):
+        """Changes the boxes around the robot. Start and targets that are still free remain."""
+        old = self._scene
+        self._leave_end()
+        goal = self._env.goals[0].copy()
+        pose = self._env.world.poses[0]
+        here = {"start": pose.round(3).tolist(), "training_targets": [goal.round(3).tolist()],
+                "new_targets": [], "other_starts": [], "boxes": boxes}
+        try:
+            new = scenes.rebuild(asdict(old) | here)
+        except SceneError as error:
+            text = str(error)
+            for name, shown in NAMES.items():
+                text = text.replace(name, shown)
+            raise SceneError(text) from None
+
+        def free(places, nearest):
+            return tuple(place for place in places if new.clearance(place[:2]) > nearest
+                         and self._away(place[:2], new) < ARRIVAL_DISTANCE)
+
+        starts = free((old.start, *old.other_starts), ROBOT_RADIUS) or (tuple(pose.tolist()),)
+        targets = free(old.training_targets, 0) or new.training_targets
+        self._scene = replace(new, start=starts[0], other_starts=starts[1:],
+                              training_targets=targets, new_targets=free(old.new_targets, 0))
+        change_room(self._env, 0, self._scene)
+        self._put(pose)
+        self._moved()
+        self._publish_room()
+
+    def _load(self, name):
+        """Enters a room by its name. A page cannot ask for a file of this machine."""
+        if name not in scenes.names() and not re.fullmatch(r"random:\d{1,9}", str(name)):
+            raise SceneError(f"there is no room {scenes.shown(name)}")
+        self._enter(scenes.load(name))
+
+    def _read(self, file):
+        """Enters the room of a file that was opened in the browser: its name and its text."""
+        self._enter(scenes.read(str(file["text"]), Path(Path(str(file["name"])).name)))
+
+    # ----------------------------------------------------------------------------- the simulation
+
+    def _enter(self, scene):
+        """Puts the robot into another room."""
+        self._scene = scene
+        self._env = make_environment("anywhere", [scene], [0], self._hidden,
+                                     environment_of([scene]))
+        self._env.max_episode_steps = -1  # no limit: a person may watch for as long as they like
+        self._env.reset(seed=int(time.time()))
+        self._begin_another(None)
+        self._publish_room()
+
+    def _away(self, place, scene=None):
+        """Returns the distance [m] from a place to the nearest one that the robot can reach."""
+        return scenes.distance_to_nearest([place], (scene or self._scene).reachable)[0]
+
+    def _begin(self, task=None):
+        """Begins an episode: a task (goal, start), or a random one."""
+        env = self._env
+        observations, _ = env.reset(options={"start": task[1]} if task else None)
+        if task:
+            env.goals[0] = task[0]
+        self._task = env.goals[0].copy(), env.starts[0].copy()
+        self._seen = observations
+        self._command = np.zeros((1, 2))
+        self._reward = 0.0
+        self._return = 0.0
+        self._steps = 0
+        self._outcome = ""
+        self._goal = env.goals[0].copy()
+        self._pose = env.starts[0].copy()
+        self._path = [self._pose[:2].round(3).tolist()]
+        self._refresh()
+        self._driver.reset(env, ROBOT)
+        if task:
+            self._look()
+
+    def _refresh(self):
+        """Takes the newest weights of a run under way. If there are none, the last ones remain."""
+        newer = self._run and self._run.newer_driver()
+        if newer:
+            self._driver = newer
+
+    def _leave_end(self):
+        """Begins the next episode if the last one has ended."""
+        if self._outcome:
+            self._next_episode()
+
+    def _next_episode(self):
+        """Begins the next episode: with the next driver that waits, or with another task."""
+        if self._waiting:
+            self._choose(self._waiting.pop(0), begins=False)
+            self._begin(self._task)
+        elif self._paths[1:]:  # a comparison has just ended: its paths stay until a new request
+            self._runs = False
+        else:
+            self._begin_another(None)
+
+    def _put(self, pose):
+        """Moves the robot."""
+        self._env.world.place(ROBOT, [pose])
+        if hasattr(self._env, "estimates"):
+            self._env.estimates[0] = pose
+
+    def _moved(self):
+        """Begins a new task here: something was moved. A policy keeps its memory."""
+        self._pose = self._env.world.poses[0]
+        self._goal = self._env.goals[0].copy()
+        self._task = self._goal.copy(), self._pose.copy()
+        self._path = [self._pose[:2].round(3).tolist()]
+        self._paths = []
+        self._waiting = []
+        if isinstance(self._driver, Planned):
+            self._driver.reset(self._env, ROBOT)  # it plans again
+        self._look()
+
+    def _look(self):
+        """Observes again, without a step."""
+        if not self._outcome:
+            env = self._env
+            self._seen = env.observe(ROBOT, env.world.poses, env.goals, self._command,
+                                     np.array([self._reward]))
+
+    def _step(self):
+        """Drives for one control period. After an episode's end, begins the next one."""
+        if self._outcome:
+            return self._next_episode()
+        action = self._driver.act(self._env, self._seen)
+        if self._held:
+            action = np.sum([KEYS[key] for key in self._held], 0, dtype=float)[None]
+        seen, rewards, terminated, truncated, infos = self._env.step(action)
+        self._command = infos["command"]
+        self._reward = float(rewards[0])
+        self._return += self._reward
+        self._steps += 1
+        self._pose = infos["pose"][0]
+        self._path.append(self._pose[:2].round(3).tolist())
+        self._seen = seen
+        if terminated[0] or truncated[0]:
+            self._seen = infos["final_obs"]
+            self._outcome = self._env.outcomes[infos["final_info"]["outcome"][0]]
+            self._paths.append({"driver": self._name, "outcome": self._outcome,
+                                "points": self._path})
+        return None
+
+    # ------------------------------------------------------------------------------ what is shown
+
+    def _publish_room(self):
+        scene = self._scene
+        self.publish(room={
+            "name": scene.name, "bounds": scene.bounds.tolist(),
+            "targets": {"training": scene.training_targets, "new": scene.new_targets},
+            "toml": scenes.to_toml(scene),
+            "boxes": [asdict(box) | {"colour": PALETTE[box.material]} for box in scene.boxes]})
+
+    def _publish_state(self):
+        distance, bearing = self._seen["target"][0].tolist()
+        v, w = self._command[0].tolist()
+        state = {"runs": self._runs, "speed": self._speed, "driver": self._name,
+                 "hide": self._hidden, "message": self._message, "outcome": self._outcome,
+                 "steps": self._steps, "pose": self._pose.tolist(), "goal": self._goal.tolist(),
+                 "linear": v, "angular": w, "distance": distance, "bearing": bearing,
+                 "reward": self._reward, "return": self._return,
+                 "image": encoded(self._seen["image"][0]),
+                 "plan": [list(point) for point in self._plan()]}
+        activations = getattr(self._driver, "activations", None)
+        if activations:
+            memory = np.round(127 * activations["memory"][0]).astype(np.int8)  # (layers, HIDDEN)
+            state |= {"value": float(activations["value"][0]),
+                      "features": activations["features"][0].round(2).tolist(),
+                      "memory": [encoded(layer) for layer in memory if memory.any()]}
+        curves = self._run.curves() if self._run else {}
+        self.publish(state=state, paths=self._paths, curves=curves)
+
+    def _plan(self):
+        """Returns the points that a planner still wants to reach."""
+        return getattr(self._driver.planners[0], "path", []) if isinstance(self._driver, Planned) \
+            else []
+
+    # --------------------------------------------------------------------------------- the thread
+
+    def run(self):
+        """Runs the session for ever. Without an open page it sleeps."""
+        due = time.monotonic()  # when the next step begins
+        while True:
+            drives = self._runs and self.pages
+            try:
+                wait = max(due - time.monotonic(), 0) if drives else None
+                item = self.requests.get(timeout=wait)
+            except queue.Empty:
+                self._safely(self._step)
+                period = CONTROL_PERIOD / self._speed
+                due = max(due, time.monotonic() - STILL)
+                due += min(HOLD, 4 * period) if self._outcome else period
+            else:
+                if item:
+                    request, answer = item
+                    answer.put(self._safely(self.answer, request))
+
+    def _safely(self, action, *arguments):
+        """Does something, and publishes the state. Returns what is wrong with it, or ''."""
+        self._message = ""
+        try:
+            action(*arguments)
+        except (SceneError, RunError) as error:
+            self._message = str(error)
+        except Exception as error:  # of a driver, or of a request that no page of ours sends
+            self._runs = False
+            self._message = f"paused: {type(error).__name__}: {error}"
+        self._publish_state()
+        return self._message
+
+
+def checked(numbers, count):
+    """Returns a list of `count` finite numbers as an array. Raises ValueError."""
+    array = np.array(numbers, float)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{count} finite numbers are needed, not {scenes.shown(numbers)}")
+    return array
+
+
+def encoded(array):
+    """Returns the bytes of an array as text."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
