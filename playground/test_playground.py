@@ -1,0 +1,380 @@
+"""The page in a real browser, used as a person would use it. Needs Chromium and playwright."""
+
+import json
+import os
+import shutil
+import threading
+import time
+from http.client import HTTPConnection
+
+import numpy as np
+import pytest
+
+import scenes
+from playground.choices import Run, drivers
+from playground.server import MOST_PAGES, Server
+from playground.session import Session
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+ENV1 = scenes.load("env1")
+
+
+@pytest.fixture(scope="module")
+def served():
+    """A session in env1, and its server."""
+    session = Session("env1", "you")
+    server = Server(session, 0, rooms=scenes.names(), drivers=drivers())
+    for serve in (session.run, server.serve_forever):
+        threading.Thread(target=serve, daemon=True).start()
+    yield session, server
+    server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None and "CI" not in os.environ:
+        pytest.skip("Chromium is not installed")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=CHROMIUM, args=[
+            "--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"])
+        yield launched
+        launched.close()
+
+
+class Page:
+    """A page of the browser, with the room's coordinates."""
+
+    def __init__(self, browser, server, suffix="", **options):
+        self.page = browser.new_page(**{"viewport": {"width": 1280, "height": 720}} | options)
+        self.errors = []
+        self.page.on("pageerror", lambda error: self.errors.append(error))
+        self.page.goto(server.address + suffix)
+        self.until("state !== null && room !== null && !busy")
+
+    def __getattr__(self, name):
+        return getattr(self.page, name)
+
+    def until(self, expression, seconds=10):
+        end = time.monotonic() + seconds
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end, expression
+            time.sleep(0.02)
+
+    def request(self, **what):
+        self.page.evaluate(f"request({json.dumps(what)})")
+        self.until("!busy")
+
+    def at(self, x, y):
+        """Returns where a place of the room is in the window."""
+        return self.page.evaluate(f"(() => {{ const p = new DOMPoint({x}, {-y}).matrixTransform("
+                                  "$('map').getScreenCTM()); return [p.x, p.y]; })()")
+
+    def drag(self, start, end):
+        self.page.mouse.move(*self.at(*start))
+        self.page.mouse.down()
+        self.page.mouse.move(*self.at(*end), steps=8)
+        self.page.mouse.up()
+        self.until("!busy")
+        time.sleep(0.1)
+
+
+@pytest.fixture
+def page(browser, served):
+    session, server = served
+    opened = Page(browser, server)
+    opened.request(room="env1", run=False, driver="you", hide="", speed=16, keys=[])
+    opened.request(robot=[-2.6, -2.6, 0.0], target=[-1.0, -2.9])
+    yield opened
+    assert not opened.errors
+    opened.close()
+
+
+def test_a_dragged_target_is_the_robots_target(page, served):
+    page.drag((-1.0, -2.9), (-3.0, -2.2))
+    assert np.allclose(served[0]._env.goals[0], (-3.0, -2.2), atol=0.03)
+
+
+def test_a_dragged_robot_stands_there(page, served):
+    page.drag((-2.6, -2.6), (-3.0, -2.2))
+    assert np.allclose(served[0]._env.world.poses[0], (-3.0, -2.2, 0), atol=0.03)
+
+
+def test_a_click_moves_what_was_clicked_before(page, served):
+    page.mouse.click(*page.at(-1.0, -2.9))
+    page.mouse.click(*page.at(-3.0, -2.2))
+    page.until("!busy")
+    assert np.allclose(served[0]._env.goals[0], (-3.0, -2.2), atol=0.03)
+
+
+def test_number_fields_move_and_refuse(page, served):
+    page.select_option("#thing", "target")
+    page.fill("#x", "-1.2")
+    page.keyboard.press("Enter")
+    page.until("!busy")
+    assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
+    page.fill("#x", "-12")
+    page.keyboard.press("Enter")
+    page.until("$('said').textContent.includes('the target at (-12.00, -2.90) cannot be reached')")
+    assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
+
+
+def test_arrow_keys_drive_while_they_are_held(page, served):
+    page.evaluate("document.activeElement.blur()")
+    page.click("#run")
+    page.keyboard.down("ArrowLeft")
+    page.until("state.angular === 1")
+    page.keyboard.up("ArrowLeft")
+    page.until("state.angular === 0 && state.steps > 2")
+    page.keyboard.down("ArrowUp")
+    page.until("state.linear > 0")
+    page.evaluate("window.dispatchEvent(new Event('blur'))")  # another window gets the keys
+    page.until("state.linear === 0")
+    page.keyboard.up("ArrowUp")
+
+
+def test_buttons_drive_while_they_are_pressed(page, served):
+    page.click("#run")
+    x, y, width, height = page.locator("[data-key=ArrowUp]").bounding_box().values()
+    page.mouse.move(x + width / 2, y + height / 2)
+    page.mouse.down()
+    page.until("state.linear > 0")
+    page.mouse.up()
+    page.until("state.linear === 0")
+
+
+def test_keys_override_a_policy_which_goes_on_thinking(page, served):
+    page.request(driver="pretrained/env1")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.down("ArrowLeft")
+    page.until("keys.size === 1 && !busy")
+    page.click("#step")
+    page.until("state.steps === 1 && state.value !== undefined")
+    assert page.evaluate("[state.linear, state.angular]") == [0, 1]
+    page.keyboard.up("ArrowLeft")
+
+
+def test_a_box_moves_is_refused_on_the_robot_and_can_be_undone(page, served):
+    session, _ = served
+    k, box = next((k, box) for k, box in enumerate(ENV1.boxes) if box.material == "wood")
+    page.drag((box.x, box.y), (-3.2, -2.2))
+    assert np.allclose((session._scene.boxes[k].x, session._scene.boxes[k].y), (-3.2, -2.2), atol=.05)
+    page.drag((-3.2, -2.2), (-2.6, -2.6))
+    assert "the robot at (-2.6, -2.6) is nearer to a box" in page.text_content("#said")
+    assert np.hypot(session._scene.boxes[k].x + 2.6, session._scene.boxes[k].y + 2.6) > 0.3
+    page.click("#undo")
+    page.click("#undo")
+    page.until("!busy")
+    assert session._scene.boxes[k] == box
+
+
+def test_a_wall_is_drawn_turned_and_deleted(page, served):
+    session, _ = served
+    page.click("#draw")
+    page.drag((-2.0, -3.2), (-1.4, -3.2))
+    assert len(session._scene.boxes) == len(ENV1.boxes) + 1
+    assert session._scene.boxes[-1].length == pytest.approx(0.6, abs=0.05)
+    page.fill("#angle", "90")
+    page.keyboard.press("Enter")
+    page.until("!busy")
+    assert session._scene.boxes[-1].yaw == pytest.approx(np.pi / 2)
+    page.click("#delete")
+    page.until("!busy")
+    assert len(session._scene.boxes) == len(ENV1.boxes)
+
+
+def test_the_image_is_the_cameras_and_hiding_takes_the_cube(page, served):
+    page.request(robot=[-2.6, -2.6, 3.14], target=[-3.2, -2.6])
+    pixels = np.array(page.evaluate("Array.from($('camera').getContext('2d')"
+                                    ".getImageData(0, 0, 64, 48).data)")).reshape(48, 64, 4)
+    shown = served[0]._seen["image"][0]
+    assert np.array_equal(pixels[..., :3], shown)
+    is_blue = (pixels[..., 2] > 100) & (pixels[..., 0] < 40)
+    page.select_option("#hide", "cube")
+    page.until("state.hide === 'cube'")
+    hidden = served[0]._seen["image"][0]
+    assert is_blue.sum() > 20 and not ((hidden[..., 2] > 100) & (hidden[..., 0] < 40)).any()
+
+
+@pytest.mark.parametrize("driver", ["oracle", "bug", "pretrained/any-room"])
+def test_each_kind_of_driver_drives(page, driver):
+    page.select_option("#driver", driver)
+    page.click("#run")
+    page.until(f"state.driver === '{driver}' && state.steps > 3 && state.linear > 0", 60)
+
+
+def test_drivers_are_compared_on_one_task(page, served):
+    page.click("summary")
+    page.check("[value=oracle]")
+    page.check("[value=bug]")
+    page.click("#compare")
+    page.until("paths.length === 2 && !state.runs", 60)
+    assert [path["driver"] for path in page.evaluate("paths")] == ["oracle", "bug"]
+    starts = page.evaluate("paths.map(path => path.points[0])")
+    assert starts[0] == starts[1]
+    assert page.locator("#map text").count() == 2
+
+
+def test_reload_and_links_keep_room_driver_and_hidden_parts(page, browser, served):
+    page.select_option("#room", "maze4")
+    page.select_option("#driver", "oracle")
+    page.until("room.name === 'maze4' && state.driver === 'oracle'")
+    assert page.url.endswith("#room=maze4&driver=oracle")
+    page.reload()
+    page.until("room !== null && room.name === 'maze4'")
+    other = Page(browser, served[1], "#room=env2&driver=bug&hide=place")
+    other.until("room.name === 'env2' && state.driver === 'bug' && state.hide === 'place'")
+    other.close()
+
+
+def test_a_saved_room_can_be_opened_again(page, served, tmp_path):
+    page.drag((-1.0, -2.9), (-3.0, -2.2))
+    with page.expect_download() as saved:
+        page.click("#save")
+    saved.value.save_as(tmp_path / "my_room.toml")
+    assert [box.x for box in scenes.load(tmp_path / "my_room.toml").boxes] \
+        == pytest.approx([box.x for box in ENV1.boxes], abs=1e-3)
+    page.set_input_files("#open", tmp_path / "my_room.toml")
+    page.until("room.name === 'my_room'")
+    (tmp_path / "bad.toml").write_text("start = 1")
+    page.set_input_files("#open", tmp_path / "bad.toml")
+    page.until("$('said').textContent.includes('bad.toml')")
+    assert served[0]._scene.name == "my_room"
+
+
+def test_too_many_pages_end_the_oldest(page, browser, served):
+    others = [Page(browser, served[1]) for _ in range(MOST_PAGES)]
+    page.until("$('said').textContent.includes('This page is off')")
+    others[-1].request(speed=2)
+    others[0].until("state.speed === 2")
+    for other in others:
+        other.close()
+
+
+def test_without_a_page_nothing_moves(served):
+    session, _ = served
+    end = time.monotonic() + 30
+    while session.pages:
+        time.sleep(0.1)
+        assert time.monotonic() < end
+    assert session.ask({"run": True, "another": True}) == ""
+    time.sleep(0.2)
+    before = session._steps, time.process_time()
+    time.sleep(1.0)
+    assert session._steps == before[0] and time.process_time() - before[1] < 0.3
+
+
+@pytest.mark.parametrize("options", [{}, {"viewport": {"width": 390, "height": 844}},
+                                     {"color_scheme": "dark", "reduced_motion": "reduce"}])
+def test_every_control_has_a_name_and_nothing_is_cut_off(browser, served, options):
+    page = Page(browser, served[1], **options)
+    for role in ("button", "combobox", "spinbutton", "img", "checkbox"):
+        for control in page.get_by_role(role).all():
+            name = control.evaluate("e => e.ariaLabel || e.labels?.[0]?.textContent || "
+                                    "e.textContent")
+            assert name.strip(), control
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    if not options:  # a projector
+        for id in ("camera", "map", "run", "draw", "save"):
+            assert page.locator(f"#{id}").bounding_box()["y"] < 700
+            box = page.locator(f"#{id}").bounding_box()
+            assert box["y"] + box["height"] <= 720
+    page.close()
+
+
+def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
+    from playground import choices
+    (tmp_path / "one").mkdir()
+    shutil.copy(choices.HERE / "pretrained" / "env1.safetensors", tmp_path / "one/model.safetensors")
+    rows = [f"{k},env1,0,0,training,{'arrival' if k % 2 else 'collision'},0,9" for k in range(200)]
+    (tmp_path / "one" / "episodes.csv").write_text("\n".join(
+        ["steps,scene,target_x,target_y,kind,outcome,return,length", *rows, "200,env1"]))
+    monkeypatch.setitem(choices.FOLDERS, "runs", tmp_path)
+    page.request(driver="runs/one", run=True)
+    page.until("state.value !== undefined && !$('training').hidden")
+    assert "last 100 episodes: training targets 50 %" in page.text_content("#rates")
+    shutil.rmtree(tmp_path / "one")
+    page.request(again=True)
+    page.until("state.driver === 'runs/one' && state.steps > 2")
+    page.request(driver="runs/one")
+    page.until("$('said').textContent.includes('there is no driver')")
+
+
+def test_a_run_under_way_shows_newer_weights(tmp_path):
+    from playground import choices
+    file = tmp_path / "model.safetensors"
+    shutil.copy(choices.HERE / "pretrained" / "env1.safetensors", file)
+    run = Run(tmp_path)
+    assert run.newer_driver() is None
+    os.utime(file, ns=(1, 1))
+    assert run.newer_driver() is not None and run.newer_driver() is None
+
+
+# ------------------------------------------------------------------------------- hostile requests
+
+
+def status(server, method, path, headers, body=None):
+    """Returns the status of a request with exactly these headers."""
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    connection.putrequest(method, path, skip_host=True)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    if body is not None:
+        connection.putheader("Content-Length", str(len(body)))
+    connection.endheaders(body)
+    return connection.getresponse().status
+
+
+def test_only_its_own_page_can_read_or_steer(served):
+    session, server = served
+    root = server.root
+    own = {"Host": f"127.0.0.1:{server.server_port}"}
+    assert status(server, "GET", root, own) == 200
+    assert status(server, "GET", root, {"Host": "localhost:9"}) == 200  # through `ssh -L 9:...`
+    for host in ("evil.test", f"127.0.0.1.evil.test:{server.server_port}", ""):
+        assert status(server, "GET", root, {"Host": host}) == 404
+    assert status(server, "GET", root, {}) == 404
+    for path in ("/", "/events", root + "../../etc/passwd", root + "page.html", root[:-2]):
+        assert status(server, "GET", path, own) == 404
+    speed = session._speed
+    as_json = own | {"Content-Type": "application/json"}
+    for origin in ("http://evil.test", "null", f"https://127.0.0.1:{server.server_port}"):
+        assert status(server, "POST", root + "do", as_json | {"Origin": origin},
+                      b'{"speed": 3}') == 404
+    assert status(server, "POST", "/do", as_json, b'{"speed": 3}') == 404
+    assert status(server, "POST", root + "do", own | {"Content-Type": "text/plain"},
+                  b'{"speed": 3}') == 415
+    assert status(server, "POST", root + "do", as_json, b" " * 2 * 10 ** 6) == 413
+    for body in (b"speed", b"[]", b"[" * 10 ** 5):
+        assert status(server, "POST", root + "do", as_json, body) == 400
+    assert session._speed == speed
+    assert status(server, "POST", root + "do", as_json | {"Origin": f"http://{own['Host']}"},
+                  b'{"speed": 3}') == 200 and session._speed == 3
+
+
+def test_a_hostile_page_that_knows_the_secret_reads_nothing(browser, served):
+    session, server = served
+    page = browser.new_page()
+    rebound = server.address.replace("127.0.0.1", "evil.test")  # DNS rebinding
+    assert page.goto(rebound).status == 404
+    speed = session._speed
+    url = server.address
+    for mode in ("cors", "no-cors"):
+        page.evaluate(f"fetch('{url}do', {{method: 'POST', mode: '{mode}', "
+                      "body: JSON.stringify({speed: 7})}).catch(() => 0)")
+    read = page.evaluate(f"new Promise(done => {{ const s = new EventSource('{url}events'); "
+                         "s.addEventListener('state', () => done('read')); "
+                         "s.onerror = () => done('refused'); })")
+    assert read == "refused" and session._speed == speed
+    page.close()
+
+
+def test_bad_requests_get_one_sentence(served):
+    session, _ = served
+    for request in ({"room": "../x"}, {"room": "/etc/passwd"}, {"room": 3}, {"target": [1]},
+                    {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": [{}]}, {"driver": "x/y"},
+                    {"driver": []}, {"hide": "x"}, {"nothing": 1}, {"speed": "fast"}, {"file": 3},
+                    {"compare": 3}, {"keys": 3}, {"target": [float("nan"), 0]}):
+        message = session.ask(request)
+        assert message and "\n" not in message, request
+    assert session.ask({"another": True}) == ""
