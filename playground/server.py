@@ -123,7 +123,7 @@ class Handler(BaseHTTPRequestHandler):
         root = self.server.root
         return self.path.removeprefix(root) if self.path.startswith(root) else None
 
-    def _answer(self, status, body=b"", kind="text/plain"):
+    def _answer(self, status, body=b"refused", kind="text/plain"):
         """Sends a whole answer. After an error the connection is closed, since its body is unread."""
         self._begin(status, {"Content-Type": kind, "Content-Length": str(len(body))}
                     | ({"Connection": "close"} if status >= 400 else {}))
