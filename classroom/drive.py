@@ -1,18 +1,22 @@
-"""Drive the robot yourself: `python -m classroom.drive --env env1`. You see its image and
-steer with the arrow keys. A picture and a table then compare you with a policy and planners."""
+"""Drive the robot yourself: `python -m classroom.drive --env env1`. A page in the browser shows its
+image; you steer with the arrow keys. Then a table compares you with a policy and planners."""
 
 import csv
+import queue
+import threading
 import time
+import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
 import scenes
 from evaluation import Planned, Policy, ShortestPaths, spl, wilson
 from evaluation.protocols import make_environment
+from playground.server import Feed, Server
+from playground.session import action_of, encoded, room_content
 from robot.environment import environment_of
 from sim import CONTROL_PERIOD, SceneError
 from support.cli import option, parse
@@ -32,63 +36,66 @@ class Options:
     seed: int = option(0, "seed of the tasks: the same seed, the same tasks", 0, 10 ** 9)
     name: str = option("you", "your name, for drives.csv")
     out: str = option("drives", "folder for paths.png and drives.csv")
+    map: bool = option(False, "also show the room from above")
+    port: int = option(8765, "port on this machine; 0: any free one", 0, 65535)
+    no_browser: bool = option(False, "only print the address of the page")
 
 
-def open_window():
-    """Returns a Figure in a window. Raises RuntimeError without a display or a toolkit."""
-    plt.rcParams["toolbar"] = "None"  # it uses the arrow keys too
-    figure = plt.figure("navbot_min", layout="constrained")
-    if figure.canvas.required_interactive_framework is None:
-        raise RuntimeError("no window can be opened here: it needs a display, and tkinter or PyQt6")
-    figure.show()
-    return figure
+class You(Feed):
+    """Driver for one robot: a person at a page of the playground."""
 
-
-class You:
-    """Driver for one robot: a person at the keyboard. figure: a matplotlib Figure in a window."""
-
-    def __init__(self, figure):
-        axes = figure.subplots()
-        axes.axis("off")
-        self.picture = axes.imshow(np.zeros((48, 64, 3), np.uint8))
-        self.title = axes.set_title("")
-        self.message = "press Enter, then drive with the arrow keys"  # empty while you drive
-        self.held = set()  # keys
-        self.pressed = set()  # keys, during this control period
-        self.canvas = figure.canvas
-        self.canvas.mpl_connect("key_press_event", lambda event: self.held.add(event.key))
-        self.canvas.mpl_connect("key_press_event", lambda event: self.pressed.add(event.key))
-        self.canvas.mpl_connect("key_release_event", lambda event: self.held.discard(event.key))
-        self.canvas.mpl_connect("close_event", lambda event: self.held.add("close"))
+    def __init__(self, has_map):
+        super().__init__()
+        self.has_map = has_map
+        self.message = "Press Start, then drive with the arrow keys."  # empty while you drive
+        self.held = []  # keys
 
     def reset(self, env, robots):
-        """Does nothing: `act` waits for Enter as long as there is a message."""
+        """Begins an episode: `act` waits for Start as long as there is a message."""
+        self.steps = 0
+        self.total = 0.0  # sum of rewards
+        if self.has_map:
+            self.publish(room=room_content(env.scenes[0]))
 
     def act(self, env, observations):
         """Shows the observation. Returns the action (1, 2) of the keys in one control period."""
-        distance, bearing = observations["target"][0]
-        self.picture.set_data(observations["image"][0])
-        self.title.set_text(
-            f"target {distance:.2f} m, {abs(np.degrees(bearing)):.0f} deg to the "
-            f"{'left' if bearing > 0 else 'right'}\n"
-            f"last reward {observations['last_reward'][0, 0]:+.1f}\n{self.message}")
-        self.canvas.draw_idle()
-        while self.message and "enter" not in self.keys(0.01):
-            pass
-        self.message = ""
-        keys = self.keys(CONTROL_PERIOD)
-        return np.array([["up" in keys, ("left" in keys) - ("right" in keys)]], float)
+        self.total += float(observations["last_reward"][0, 0])
+        self.show(env, observations)
+        while self.message:
+            self.listen(None)
+        self.show(env, observations)
+        self.steps += 1
+        pressed = set(self.held)
+        end = time.monotonic() + CONTROL_PERIOD
+        while (left := end - time.monotonic()) > 0:
+            pressed |= set(self.listen(left))
+        return action_of(pressed)
 
-    def keys(self, seconds):
-        """Returns the keys held or pressed. Raises RuntimeError if the window is closed."""
-        self.pressed.clear()
-        until = time.perf_counter() + seconds
-        while time.perf_counter() < until:
-            self.canvas.flush_events()
-            time.sleep(0.005)
-        if "close" in self.held:
-            raise RuntimeError("the window was closed: the drive was not saved")
-        return self.held | self.pressed
+    def listen(self, seconds):
+        """Does what the page requests next, if anything in this time. Returns the held keys."""
+        try:
+            item = self.requests.get(timeout=seconds)
+        except queue.Empty:
+            item = None
+        if item:
+            request, answer = item
+            self.held = request.get("keys", self.held)
+            if request.get("run"):
+                self.message = ""
+            answer.put("")
+        return self.held
+
+    def show(self, env, observations):
+        """Sends what you may see to the page."""
+        seen = {name: value[0].tolist() for name, value in observations.items() if name != "image"}
+        state = {"runs": not self.message, "speed": 1, "message": self.message, "outcome": "",
+                 "steps": self.steps, "distance": seen["target"][0], "bearing": seen["target"][1],
+                 "linear": seen["velocity"][0], "angular": seen["velocity"][1],
+                 "reward": seen["last_reward"][0], "return": self.total,
+                 "image": encoded(observations["image"][0])}
+        if self.has_map:
+            state |= {"pose": env.world.poses[0].tolist(), "goal": env.goals[0].tolist()}
+        self.publish(state=state)
 
 
 def same_tasks(driver, scene, episodes, seed):
@@ -140,21 +147,28 @@ def main(argv=None):
     folder = Path(options.out)
     try:
         scene = scenes.load(options.env)
-        you = You(open_window())
         folder.mkdir(parents=True, exist_ok=True)  # before the drive, since this may fail
+        you = You(options.map)
+        server = Server(you, options.port, rooms=[], drivers=[], record=True)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        print(server.address, flush=True)
+        if not options.no_browser:
+            webbrowser.open(server.address)
         yours = []
         for trace in same_tasks(you, scene, options.episodes, options.seed):
             yours.append(trace)
-            you.message = f"{trace.outcome}, reward {trace.rewards[-1]:+.1f}: press Enter again"
+            you.message = f"{trace.outcome}, reward {trace.rewards[-1]:+.1f}. Press Start again."
         rows = rows_of(yours, options.name, options.env, options.seed)
         with open(folder / "drives.csv", "a", newline="", encoding="utf-8") as text:
             writer = csv.DictWriter(text, rows[0])
             if text.tell() == 0:
                 writer.writeheader()
             writer.writerows(rows)
-    except (SceneError, ImportError, RuntimeError, OSError) as error:
+    except (SceneError, OSError) as error:
         parser.error(error)
-    plt.close("all")
+    except KeyboardInterrupt:
+        parser.exit(130, "\nended: the drive was not saved\n")
+    you.publish(state={"message": "Done. The table is in the terminal."})
     drives = [(options.name, yours)]
     for name, driver in [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]:
         drives.append((name, list(same_tasks(driver, scene, options.episodes, options.seed))))

@@ -1,11 +1,12 @@
 """Each test is the shortest proof of one claim about drives and their comparison in a class."""
 
+import base64
+import json
 import re
+import threading
 
 import numpy as np
 import pytest
-from matplotlib.backend_bases import CloseEvent, KeyEvent
-from matplotlib.figure import Figure
 
 import scenes
 from classroom import drive, pool
@@ -13,54 +14,50 @@ from evaluation import Planned
 from support.runs import read_table
 
 SEEN = {"image": np.arange(48 * 64 * 3, dtype=np.uint8).reshape(1, 48, 64, 3),
-        "target": np.array([[2.5, -np.pi / 6]]), "last_reward": np.array([[-0.05]])}
+        "target": np.array([[2.5, -np.pi / 6]]), "velocity": np.zeros((1, 2)),
+        "last_reward": np.array([[-0.05]])}
 
 
 @pytest.fixture
 def you(monkeypatch):
-    """A driver without a window and with a short control period."""
-    monkeypatch.setattr(drive, "CONTROL_PERIOD", 0.001)
-    return drive.You(Figure())
+    """A driver at the start of an episode, with a short control period."""
+    monkeypatch.setattr(drive, "CONTROL_PERIOD", 0.05)
+    driver = drive.You(has_map=False)
+    driver.reset(None, [0])
+    return driver
 
 
-def send(you, event, *keys):
-    for key in keys:
-        KeyEvent(f"key_{event}_event", you.canvas, key)._process()
+def page(you, *requests):
+    """Sends requests from another thread, as a page does."""
+    def send():
+        for request in requests:
+            you.ask(request)
+    threading.Thread(target=send, daemon=True).start()
 
 
 @pytest.mark.parametrize("keys, action", [
-    ((), (0, 0)), (("up",), (1, 0)), (("up", "left"), (1, 1)), (("right", "x"), (0, -1)),
-    (("left", "right"), (0, 0))])
+    ([], (0, 0)), (["ArrowUp"], (1, 0)), (["ArrowUp", "ArrowLeft"], (1, 1)),
+    (["ArrowRight", "x"], (0, -1)), (["ArrowLeft", "ArrowRight"], (0, 0))])
 def test_held_keys_become_an_action(you, keys, action):
-    send(you, "press", "up", "left", "right", *keys)
-    send(you, "release", *{"up", "left", "right"}.difference(keys))
-    you.message = ""
+    page(you, {"keys": keys}, {"run": True})
+    assert np.array_equal(you.act(None, SEEN), [action])
     assert np.array_equal(you.act(None, SEEN), [action])
 
 
-def test_enter_begins_an_episode_and_a_short_press_counts_for_one_control_period(you, monkeypatch):
-    taps = [["up"], ["enter"], ["up"], []]
-
-    def flush():
-        keys = taps.pop(0)
-        send(you, "press", *keys)
-        send(you, "release", *keys)
-    monkeypatch.setattr(you.canvas, "flush_events", flush)
-    monkeypatch.setattr(drive.time, "sleep", lambda _: moments.append(moments.pop() + 1))
-    monkeypatch.setattr(drive.time, "perf_counter", lambda: moments[0])
-    moments = [0]
+def test_a_short_press_counts_for_one_control_period(you):
+    you.message = ""
+    page(you, {"keys": ["ArrowUp"]}, {"keys": []})
     assert np.array_equal(you.act(None, SEEN), [(1, 0)])
-    assert np.array_equal(you.act(None, SEEN), [(0, 0)]) and not taps
+    assert np.array_equal(you.act(None, SEEN), [(0, 0)])
 
 
-def test_the_observation_is_shown_until_the_window_is_closed(you):
-    send(you, "press", "enter")
+def test_the_page_shows_the_observation_and_nothing_else(you):
+    page(you, {"run": True})
     you.act(None, SEEN)
-    assert you.title.get_text().startswith("target 2.50 m, 30 deg to the right\nlast reward -0.1")
-    assert np.array_equal(you.picture.get_array(), SEEN["image"][0])
-    CloseEvent("close_event", you.canvas)._process()
-    with pytest.raises(RuntimeError, match="the window was closed"):
-        you.act(None, SEEN)
+    state = json.loads(next(you.follow()).partition("data: ")[2])
+    assert (state["distance"], state["bearing"]) == (2.5, pytest.approx(-np.pi / 6))
+    assert base64.b64decode(state["image"]) == SEEN["image"].tobytes()
+    assert not {"pose", "goal"} & state.keys()
 
 
 def test_all_drivers_have_the_same_tasks_even_in_a_room_that_draws_numbers_at_each_step():
@@ -73,18 +70,22 @@ def test_all_drivers_have_the_same_tasks_even_in_a_room_that_draws_numbers_at_ea
 
 
 class Straight(drive.You):
-    """Turns to the target and drives, using only the title of the window."""
+    """Turns to the target and drives, using only what the page shows."""
 
-    def keys(self, seconds):
-        bearing = re.search(r"(\d+) deg to the (left|right)", self.title.get_text())
-        return {"enter", "up"} | ({bearing[2]} if int(bearing[1]) > 5 else set())
+    def show(self, env, observations):
+        self.bearing = observations["target"][0, 1]
+
+    def listen(self, seconds):
+        self.message = ""
+        side = "ArrowLeft" if self.bearing > 0 else "ArrowRight"
+        return ["ArrowUp", side] if abs(self.bearing) > 0.1 else ["ArrowUp"]
 
 
 def test_a_drive_is_saved_and_compared_and_first_tries_are_pooled(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(drive, "You", Straight)
-    monkeypatch.setattr(drive, "open_window", Figure)
-    arguments = ["--episodes", "3", "--seed", "4", "--name", "Zoë"]
+    monkeypatch.setattr(drive, "CONTROL_PERIOD", 1e-4)
+    arguments = ["--no-browser", "--port", "0", "--episodes", "3", "--seed", "4", "--name", "Zoë"]
     drive.main(arguments)
     printed = capsys.readouterr().out
     drive.main(arguments)  # appends to the first
@@ -129,11 +130,3 @@ def test_an_error_names_drives_that_cannot_be_pooled(tmp_path, capsys, files, wo
         pool.main([str(tmp_path)])
     printed = capsys.readouterr().err
     assert end.value.code == 2 and words in printed and printed.count("\n") == 1
-
-
-def test_without_a_display_the_error_explains_what_is_needed(capsys):
-    drive.plt.switch_backend("agg")
-    with pytest.raises(SystemExit):
-        drive.main([])
-    printed = capsys.readouterr().err
-    assert printed.startswith("error: no window can be opened here") and printed.count("\n") == 1

@@ -71,7 +71,7 @@ class Session(Feed):
         self._speed = float(np.clip(float(speed), *SPEEDS))
 
     def _hold(self, keys):
-        self._held = [key for key in KEYS if key in keys]
+        self._held = [key for key in KEYS if key in keys]  # ignores all others
 
     def _hide(self, what):
         if what not in HIDDEN:
@@ -152,7 +152,7 @@ class Session(Feed):
         change_room(self._env, 0, self._scene)
         self._put(pose)
         self._moved()
-        self._publish_room()
+        self.publish(room=room_content(self._scene))
 
     def _load(self, name):
         """Enters a room by its name. A page cannot ask for a file of this machine."""
@@ -174,7 +174,7 @@ class Session(Feed):
         self._env.max_episode_steps = -1  # no limit: a person may watch for as long as they like
         self._env.reset(seed=int(time.time()))
         self._begin_another(None)
-        self._publish_room()
+        self.publish(room=room_content(self._scene))
 
     def _away(self, place, scene=None):
         """Returns the distance [m] from a place to the nearest one that the robot can reach."""
@@ -253,7 +253,7 @@ class Session(Feed):
             return self._next_episode()
         action = self._driver.act(self._env, self._seen)
         if self._held:
-            action = np.sum([KEYS[key] for key in self._held], 0, dtype=float)[None]
+            action = action_of(self._held)
         seen, rewards, terminated, truncated, infos = self._env.step(action)
         self._command = infos["command"]
         self._reward = float(rewards[0])
@@ -270,14 +270,6 @@ class Session(Feed):
         return None
 
     # ------------------------------------------------------------------------------ what is shown
-
-    def _publish_room(self):
-        scene = self._scene
-        self.publish(room={
-            "name": scene.name, "bounds": scene.bounds.tolist(),
-            "targets": {"training": scene.training_targets, "new": scene.new_targets},
-            "toml": scenes.to_toml(scene),
-            "boxes": [asdict(box) | {"colour": PALETTE[box.material]} for box in scene.boxes]})
 
     def _publish_state(self):
         distance, bearing = self._seen["target"][0].tolist()
@@ -335,6 +327,18 @@ class Session(Feed):
             self._message = f"paused: {type(error).__name__}: {error}"
         self._publish_state()
         return self._message
+
+
+def action_of(keys):
+    """Returns the action (1, 2) of the arrow keys that are held."""
+    return np.sum([(0, 0), *(KEYS[key] for key in KEYS if key in keys)], 0, dtype=float)[None]
+
+
+def room_content(scene):
+    """Returns a Scene as the page shows it."""
+    return {"name": scene.name, "bounds": scene.bounds.tolist(), "toml": scenes.to_toml(scene),
+            "targets": {"training": scene.training_targets, "new": scene.new_targets},
+            "boxes": [asdict(box) | {"colour": PALETTE[box.material]} for box in scene.boxes]}
 
 
 def checked(numbers, count):
