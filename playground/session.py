@@ -313,11 +313,11 @@ class Session(Feed):
             else:
                 if item:
                     request, answer = item
+                    self._message = ""  # of an earlier request
                     answer.put(self._safely(self.answer, request))
 
     def _safely(self, action, *arguments):
         """Does something, and publishes the state. Returns what is wrong with it, or ''."""
-        self._message = ""
         try:
             action(*arguments)
         except (SceneError, RunError) as error:
