@@ -91,7 +91,7 @@ class Session(Feed):
         """Begins the same task again."""
         self._begin(self._task)
 
-    def _begin_another(self, _):
+    def _begin_another(self, _=None):
         """Begins a random task."""
         self._paths = []
         self._waiting = []
@@ -173,7 +173,7 @@ class Session(Feed):
                                      environment_of([scene]))
         self._env.max_episode_steps = -1  # no limit: a person may watch for as long as they like
         self._env.reset(seed=int(time.time()))
-        self._begin_another(None)
+        self._begin_another()
         self.publish(room=room_content(self._scene))
 
     def _away(self, place, scene=None):
@@ -207,20 +207,18 @@ class Session(Feed):
         if newer:
             self._driver = newer
 
-    def _leave_end(self):
-        """Begins the next episode if the last one has ended."""
-        if self._outcome:
-            self._next_episode()
-
     def _next_episode(self):
         """Begins the next episode: with the next driver that waits, or with another task."""
         if self._waiting:
             self._choose(self._waiting.pop(0), begins=False)
             self._begin(self._task)
-        elif self._paths[1:]:  # a comparison has just ended: its paths stay until a new request
-            self._runs = False
         else:
-            self._begin_another(None)
+            self._begin_another()
+
+    def _leave_end(self):
+        """If the episode has ended, begins another one here, so that something can be moved."""
+        if self._outcome:
+            self._begin((self._goal, self._pose))
 
     def _put(self, pose):
         """Moves the robot."""
@@ -267,6 +265,8 @@ class Session(Feed):
             self._outcome = self._env.outcomes[infos["final_info"]["outcome"][0]]
             self._paths.append({"driver": self._name, "outcome": self._outcome,
                                 "points": self._path})
+            if self._paths[1:] and not self._waiting:
+                self._runs = False  # a comparison is complete: its paths stay visible
         return None
 
     # ------------------------------------------------------------------------------ what is shown
