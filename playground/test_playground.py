@@ -6,14 +6,18 @@ import shutil
 import threading
 import time
 from http.client import HTTPConnection
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 import scenes
-from playground.choices import Run, drivers
+from evaluation.replay import make_page
+from playground import choices
+from playground.choices import HERE, Run, drivers
 from playground.server import MOST_PAGES, Server
 from playground.session import Session
+from support.weights import load_model
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ENV1 = scenes.load("env1")
@@ -32,9 +36,11 @@ def served():
 
 @pytest.fixture(scope="module")
 def browser():
-    if CHROMIUM is None and "CI" not in os.environ:
-        pytest.skip("Chromium is not installed")
-    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None or not find_spec("playwright"):
+        if "CI" in os.environ:
+            pytest.fail("CI needs Chromium and playwright")
+        pytest.skip("needs Chromium and playwright (playground/requirements-test.txt)")
+    from playwright import sync_api as playwright
     with playwright.sync_playwright() as started:
         launched = started.chromium.launch(executable_path=CHROMIUM, args=[
             "--no-sandbox", "--host-resolver-rules=MAP evil.test 127.0.0.1"])
@@ -43,10 +49,10 @@ def browser():
 
 
 class Page:
-    """A page of the browser, with the room's coordinates."""
+    """A page of a browser or of one of its contexts, with the room's coordinates."""
 
     def __init__(self, browser, server, suffix="", **options):
-        self.page = browser.new_page(**{"viewport": {"width": 1280, "height": 720}} | options)
+        self.page = browser.new_page(**options)  # 1280 x 720 by default
         self.errors = []
         self.page.on("pageerror", lambda error: self.errors.append(error))
         self.page.goto(server.address + suffix)
@@ -242,13 +248,44 @@ def test_a_saved_room_can_be_opened_again(page, served, tmp_path):
     assert served[0]._scene.name == "my_room"
 
 
-def test_too_many_pages_end_the_oldest(page, browser, served):
-    others = [Page(browser, served[1]) for _ in range(MOST_PAGES)]
-    page.until("$('said').textContent.includes('This page is off')")
-    others[-1].request(speed=2)
-    others[0].until("state.speed === 2")
-    for other in others:
-        other.close()
+def test_too_many_pages_end_the_oldest(browser, served):
+    context = browser.new_context()  # its pages share six connections to a server
+    pages = [Page(context, served[1]) for _ in range(8)]
+    for k, page in enumerate(pages):
+        is_off = page.evaluate("$('said').textContent.includes('This page is off')")
+        assert is_off is (k < 8 - MOST_PAGES)
+    pages[-1].request(speed=2)
+    pages[-MOST_PAGES].until("state.speed === 2")
+    context.close()
+
+
+def test_with_reduced_motion_the_robot_does_not_glide(browser, served):
+    page = Page(browser, served[1], reduced_motion="reduce")
+    page.request(driver="oracle", speed=0.25)
+    page.click("#step")
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    x, y, _ = page.evaluate("state.pose")
+    assert page.get_attribute("[data-thing=robot]", "transform").startswith(f"translate({x} {-y})")
+    page.close()
+
+
+def test_a_replay_shows_the_same_drawing(browser, tmp_path):
+    model, _ = load_model(HERE / "pretrained" / "env1.safetensors")
+    text = make_page("env1", model, "mean", ENV1, "start", 0)
+    (tmp_path / "replay.html").write_text(text, encoding="utf-8")
+    page = browser.new_page()
+    errors = []
+    page.on("pageerror", lambda error: errors.append(error))
+    page.goto((tmp_path / "replay.html").as_uri())
+    assert page.locator("#map polygon").count() == len(ENV1.boxes)
+    page.keyboard.press("End")
+    end = page.evaluate("episode.poses.at(-1)")
+    place = page.locator("#map > g").last.get_attribute("transform")
+    assert place.startswith(f"translate({end[0]} {-end[1]})")
+    strips = page.locator("#strips canvas").evaluate_all("all => all.map(one => new Set(one"
+        ".getContext('2d').getImageData(0, 0, one.width, one.height).data).size)")
+    assert len(strips) == 3 and min(strips) > 50 and not errors  # many shades
+    page.close()
 
 
 def test_without_a_page_nothing_moves(served):
@@ -283,9 +320,8 @@ def test_every_control_has_a_name_and_nothing_is_cut_off(browser, served, option
 
 
 def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
-    from playground import choices
     (tmp_path / "one").mkdir()
-    shutil.copy(choices.HERE / "pretrained" / "env1.safetensors", tmp_path / "one/model.safetensors")
+    shutil.copy(HERE / "pretrained" / "env1.safetensors", tmp_path / "one/model.safetensors")
     rows = [f"{k},env1,0,0,training,{'arrival' if k % 2 else 'collision'},0,9" for k in range(200)]
     (tmp_path / "one" / "episodes.csv").write_text("\n".join(
         ["steps,scene,target_x,target_y,kind,outcome,return,length", *rows, "200,env1"]))
@@ -301,9 +337,8 @@ def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
 
 
 def test_a_run_under_way_shows_newer_weights(tmp_path):
-    from playground import choices
     file = tmp_path / "model.safetensors"
-    shutil.copy(choices.HERE / "pretrained" / "env1.safetensors", file)
+    shutil.copy(HERE / "pretrained" / "env1.safetensors", file)
     run = Run(tmp_path)
     assert run.newer_driver() is None
     os.utime(file, ns=(1, 1))
