@@ -20,7 +20,7 @@ quick: .venv/installed
 
 # All tests.
 test: .venv/tests-installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -rs
 
 evaluate: .venv/installed
 	$(BIN)/python -m evaluation $(RUN)

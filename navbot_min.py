@@ -98,9 +98,8 @@ class NavVecEnv(VectorEnv):
 
     Arrival and collision terminate an episode; the step limit truncates it. `infos` holds the
     `pose` (R, 3) after the step and the `command` (R, 2). Autoreset is same-step: when an episode
-    ends, `observations`, `goals` and `starts` already belong to the next one; `infos["final_obs"]`
-    holds the last observation and `infos["final_info"]` its `episode_info`. The key `_name` is the
-    mask of `name`.
+    ends, `observations`, `goals` and `starts` are already new ones, `infos["final_obs"]` holds the
+    last observation and `infos["final_info"]` its `episode_info`. The key `_name` masks `name`.
 
     A subclass changes the task by overriding the hooks `sample_episode`, `observe`, `command`,
     `drive` and `reward`.

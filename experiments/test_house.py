@@ -33,8 +33,9 @@ WHO_IMPORTS_WHOM = {  # top-level file or folder -> our modules that it may impo
     "train": LESSON | {"scenes", "support", "evaluation"},
     "evaluation": LESSON - {"ppo", "train"} | {"scenes", "support"},
     "robot": LESSON | {"scenes", "support", "evaluation"},
+    "playground": LESSON | {"scenes", "support", "evaluation", "robot"},
     "experiments": LESSON | {"scenes", "support", "evaluation", "robot"},
-    "classroom": LESSON | {"scenes", "support", "evaluation", "robot"}}
+    "classroom": LESSON | {"scenes", "support", "evaluation", "robot", "playground"}}
 PROGRAMS = {"scenes/__main__.py": {"render", "support"}}  # further imports of a program
 
 

@@ -32,10 +32,10 @@ def main(argv=None):
     except OSError as error:
         parser.error(f"--port {options.port} cannot be used: {error.strerror}")
     threading.Thread(target=session.run, daemon=True).start()
-    print(f"{server.address}\nCtrl-C ends it", flush=True)
-    if not options.no_browser:
-        webbrowser.open(server.address)
     try:
+        print(f"{server.address}\nCtrl-C ends it", flush=True)
+        if not options.no_browser:
+            webbrowser.open(server.address)
         server.serve_forever()
     except KeyboardInterrupt:
         print("\nended")

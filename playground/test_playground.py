@@ -1,8 +1,12 @@
-"""The page in a real browser, used as a person would use it. Needs Chromium and playwright."""
+"""The page in a real browser, used as a person would use it. Without Chromium and playwright, most
+tests are skipped, except in CI."""
 
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 import time
 from http.client import HTTPConnection
@@ -14,6 +18,7 @@ import pytest
 import scenes
 from evaluation.replay import make_page
 from playground import choices
+from playground.__main__ import main
 from playground.choices import HERE, Run, drivers
 from playground.server import MOST_PAGES, Server
 from playground.session import Session
@@ -413,3 +418,31 @@ def test_bad_requests_get_one_sentence(served):
         message = session.ask(request)
         assert message and "\n" not in message, request
     assert session.ask({"another": True}) == ""
+
+
+# -------------------------------------------------------------------------------- the command line
+
+
+def test_the_program_prints_an_address_and_ctrl_c_ends_it_with_one_line():
+    process = subprocess.Popen([sys.executable, "-m", "playground", "--port", "0", "--no-browser"],
+                               cwd=HERE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().startswith("http://127.0.0.1:")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 0 and process.stderr.read() == ""
+    assert process.stdout.read().splitlines()[-1] == "ended"
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--room", "nowhere"], "unknown scene 'nowhere'"), (["--driver", "runs/none"], "there is no"),
+    (["--port", "99999"], "from 0 to 65,535"), (["--port", "used"], "is not a whole number")])
+def test_a_wrong_option_is_one_sentence(arguments, words, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    printed = capsys.readouterr().err
+    assert end.value.code == 2 and words in printed and printed.count("\n") == 1
+
+
+def test_a_used_port_is_one_sentence(served, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--port", str(served[1].server_port)])
+    assert end.value.code == 2 and "Address already in use" in capsys.readouterr().err
