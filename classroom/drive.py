@@ -168,7 +168,7 @@ def main(argv=None):
         parser.error(error)
     except KeyboardInterrupt:
         parser.exit(130, "\nended: the drive was not saved\n")
-    you.publish(state={"message": "Done. The table is in the terminal."})
+    you.publish(end="Done. The table is in the terminal.")
     drives = [(options.name, yours)]
     for name, driver in [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]:
         drives.append((name, list(same_tasks(driver, scene, options.episodes, options.seed))))

@@ -18,6 +18,7 @@ from evaluation.replay import DRAWING
 PAGE = Path(__file__).with_name("page.html")
 MOST_BYTES = 10 ** 6  # in a request, enough for a room's file
 MOST_PAGES = 4  # open at the same time: a browser allows six connections to a server
+TOO_MANY = "This page is off, because others were opened. Reload it to go on."
 ALIVE = 10.0  # [s] between two signs of life to a page, which show whether it is still open
 HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
            "X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin",
@@ -58,7 +59,7 @@ class Feed:
                     self._changed.wait_for(
                         lambda: sent != self._texts or page not in self.pages, ALIVE)
                     if page not in self.pages:
-                        yield "event: closed\ndata: 0\n\n"
+                        yield f"event: end\ndata: {json.dumps(TOO_MANY)}\n\n"
                         return
                     new = {name: text for name, text in self._texts.items()
                            if sent.get(name) is not text}
