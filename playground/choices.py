@@ -1,4 +1,4 @@
-"""What the page can choose: rooms and drivers, also runs under way with their success rates."""
+"""The drivers that the page can choose; for a run under way, also its success rates."""
 
 import csv
 from pathlib import Path

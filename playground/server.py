@@ -18,7 +18,7 @@ from evaluation.replay import DRAWING
 PAGE = Path(__file__).with_name("page.html")
 MOST_BYTES = 10 ** 6  # in a request, enough for a room's file
 MOST_PAGES = 4  # open at the same time: a browser allows six connections to a server
-TOO_MANY = "This page is off, because others were opened. Reload it to go on."
+TOO_MANY = "This page is off, because others were opened. Reload it to continue."
 ALIVE = 10.0  # [s] between two signs of life to a page, which show whether it is still open
 HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
            "X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin",
@@ -28,7 +28,7 @@ HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
 
 
 class Feed:
-    """What open pages show, and what they request. A thread that drives calls `publish` and answers
+    """The content of open pages, and their requests. A thread that drives calls `publish` and answers
     `requests`; each page has a thread that calls `follow` or `ask`."""
 
     def __init__(self):
@@ -167,6 +167,6 @@ class Server(ThreadingHTTPServer):
         self.address = f"http://127.0.0.1:{self.server_port}{self.root}"
 
     def handle_error(self, request, client_address):
-        """Says nothing about a connection that the browser has broken off."""
+        """Prints an error, unless the browser has closed the connection."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)

@@ -77,7 +77,7 @@ class Page:
         self.until("!busy")
 
     def at(self, x, y):
-        """Returns where a place of the room is in the window."""
+        """Returns the position in the window of a place in the room."""
         return self.page.evaluate(f"(() => {{ const p = new DOMPoint({x}, {-y}).matrixTransform("
                                   "$('map').getScreenCTM()); return [p.x, p.y]; })()")
 
@@ -126,7 +126,7 @@ def test_number_fields_move_and_refuse(page, served):
     assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
     page.fill("#x", "-12")
     page.keyboard.press("Enter")
-    page.until("$('said').textContent.includes('the target at (-12.00, -2.90) cannot be reached')")
+    page.until("$('message').textContent.includes('the target at (-12.00, -2.90) cannot be reached')")
     assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
 
 
@@ -171,7 +171,7 @@ def test_a_box_moves_is_refused_on_the_robot_and_can_be_undone(page, served):
     page.drag((box.x, box.y), (-3.2, -2.2))
     assert np.allclose((session._scene.boxes[k].x, session._scene.boxes[k].y), (-3.2, -2.2), atol=.05)
     page.drag((-3.2, -2.2), (-2.6, -2.6))
-    assert "the robot at (-2.6, -2.6) is nearer to a box" in page.text_content("#said")
+    assert "the robot at (-2.6, -2.6) is nearer to a box" in page.text_content("#message")
     assert np.hypot(session._scene.boxes[k].x + 2.6, session._scene.boxes[k].y + 2.6) > 0.3
     page.click("#undo")
     page.click("#undo")
@@ -249,7 +249,7 @@ def test_a_saved_room_can_be_opened_again(page, served, tmp_path):
     page.until("room.name === 'my_room'")
     (tmp_path / "bad.toml").write_text("start = 1")
     page.set_input_files("#open", tmp_path / "bad.toml")
-    page.until("$('said').textContent.includes('bad.toml')")
+    page.until("$('message').textContent.includes('bad.toml')")
     assert served[0]._scene.name == "my_room"
 
 
@@ -257,7 +257,7 @@ def test_too_many_pages_end_the_oldest(browser, served):
     context = browser.new_context()  # its pages share six connections to a server
     pages = [Page(context, served[1]) for _ in range(8)]
     for k, page in enumerate(pages):
-        is_off = page.evaluate("$('said').textContent.includes('This page is off')")
+        is_off = page.evaluate("$('message').textContent.includes('This page is off')")
         assert is_off is (k < 8 - MOST_PAGES)
     pages[-1].request(speed=2)
     pages[-MOST_PAGES].until("state.speed === 2")
@@ -338,7 +338,7 @@ def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
     page.request(again=True)
     page.until("state.driver === 'runs/one' && state.steps > 2")
     page.request(driver="runs/one")
-    page.until("$('said').textContent.includes('there is no driver')")
+    page.until("$('message').textContent.includes('there is no driver')")
 
 
 def test_a_run_under_way_shows_newer_weights(tmp_path):
