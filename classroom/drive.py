@@ -131,12 +131,12 @@ def summary(rows):
     low, high = wilson(len(seconds), len(rows))
     return {"success": len(seconds) / len(rows), "low": low, "high": high,
             "spl": np.mean([row["spl"] for row in rows]),
-            "seconds": np.mean(seconds) if seconds else np.nan}
+            "seconds": f"{np.mean(seconds):.1f}" if seconds else "-"}
 
 
 def table(results):
     """Returns a table as text. results: pairs of a name and the dict that `summary` returns."""
-    line = "{:30}  {success:7.0%}   [{low:4.0%}, {high:4.0%}]  {spl:4.2f}  {seconds:.1f}"
+    line = "{:30}  {success:7.0%}   [{low:4.0%}, {high:4.0%}]  {spl:4.2f}  {seconds}"
     lines = [line.format(name, **result) for name, result in results]
     return "\n".join([f"{'':30}  success  95 % interval   SPL  seconds to arrive", *lines])
 
@@ -149,7 +149,7 @@ def main(argv=None):
         scene = scenes.load(options.env)
         folder.mkdir(parents=True, exist_ok=True)  # before the drive, since this may fail
         you = You(options.map)
-        server = Server(you, options.port, rooms=[], drivers=[], record=True)
+        server = Server(you, options.port, lambda: {"rooms": [], "drivers": [], "record": True})
         threading.Thread(target=server.serve_forever, daemon=True).start()
         print(server.address, flush=True)
         if not options.no_browser:
@@ -157,7 +157,8 @@ def main(argv=None):
         yours = []
         for trace in same_tasks(you, scene, options.episodes, options.seed):
             yours.append(trace)
-            you.message = f"{trace.outcome}, reward {trace.rewards[-1]:+.1f}. Press Start again."
+            you.message = (f"Episode {len(yours)} of {options.episodes}: {trace.outcome}, return "
+                           f"{trace.rewards.sum():.0f}. Press Start for the next one.")
         rows = rows_of(yours, options.name, options.env, options.seed)
         with open(folder / "drives.csv", "a", newline="", encoding="utf-8") as text:
             writer = csv.DictWriter(text, rows[0])
@@ -168,7 +169,7 @@ def main(argv=None):
         parser.error(error)
     except KeyboardInterrupt:
         parser.exit(130, "\nended: the drive was not saved\n")
-    you.publish(end="Done. The table is in the terminal.")
+    you.publish(end=f"Done. The last episode: {yours[-1].outcome}. The terminal shows a table.")
     drives = [(options.name, yours)]
     for name, driver in [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]:
         drives.append((name, list(same_tasks(driver, scene, options.episodes, options.seed))))

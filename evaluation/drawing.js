@@ -20,7 +20,7 @@ function targetShape(cube, hidden) {  // a cube in a ring; only its outline if i
   return [svg("circle", {r: cube, fill: "transparent", "stroke-width": 0.03,
                          style: "stroke: var(--robot)"}),
           svg("rect", {x: -cube / 2, y: -cube / 2, width: cube, height: cube,
-                       fill: hidden ? "none" : "#1414eb", stroke: "#1414eb",
+                       style: "stroke: var(--cube); fill: " + (hidden ? "none" : "var(--cube)"),
                        "stroke-width": 0.02})];
 }
 

@@ -1,4 +1,4 @@
-"""Opens a page to play with: `python -m playground`. docs/class.md has ten minutes with it."""
+"""Opens a page to play with: `python -m playground`. docs/class.md has a lesson of ten minutes."""
 
 import threading
 import webbrowser
@@ -26,7 +26,7 @@ def main(argv=None):
     torch.set_num_threads(1)
     try:
         session = Session(options.room, options.driver)
-        server = Server(session, options.port, rooms=scenes.names(), drivers=drivers())
+        server = Server(session, options.port, lambda: {"rooms": scenes.names(), "drivers": drivers()})
     except (SceneError, RunError) as error:
         parser.error(error)
     except OSError as error:

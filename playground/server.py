@@ -91,7 +91,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self):
         name = self._requested()
         if name == "":
-            self._answer(200, self.server.page, "text/html; charset=utf-8")
+            self._answer(200, self.server.page(), "text/html; charset=utf-8")
         elif name == "events":
             self._stream()
         else:
@@ -155,16 +155,20 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, feed, port, **lists):
-        """port: 0 for any free one. lists: values for the page, such as names of rooms. Raises
-        OSError."""
+    def __init__(self, feed, port, lists):
+        """port: 0 for any free one. lists: a function that returns values for a new page, such as
+        the names of rooms. Raises OSError."""
         super().__init__(("127.0.0.1", port), Handler)
         self.feed = feed
-        text = json.dumps(lists).replace("<", "\\u003c")
-        page = PAGE.read_text(encoding="utf-8").replace("LISTS", text, 1)
-        self.page = page.replace("DRAWING", DRAWING.read_text(encoding="utf-8"), 1).encode()
+        self.lists = lists
         self.root = f"/{secrets.token_urlsafe(12)}/"
         self.address = f"http://127.0.0.1:{self.server_port}{self.root}"
+
+    def page(self):
+        """Returns the page as bytes."""
+        text = json.dumps(self.lists()).replace("<", "\\u003c")
+        page = PAGE.read_text(encoding="utf-8").replace("LISTS", text, 1)
+        return page.replace("DRAWING", DRAWING.read_text(encoding="utf-8"), 1).encode()
 
     def handle_error(self, request, client_address):
         """Prints an error, unless the browser has closed the connection."""

@@ -28,7 +28,7 @@ KEYS = {"ArrowUp": (1, 0), "ArrowLeft": (0, 1), "ArrowRight": (0, -1)}  # key ->
 HOLD = 1.5  # [s] for which an episode's end is shown, at most
 SPEEDS = (0.25, 16)  # slowest and fastest, times real time
 NAMES = {"training_targets[0]": "the target at", "start (": "the robot at ("}  # in messages
-STILL = 0.05  # [s] a late step is not made up for if it is later than this
+STILL = 0.05  # [s] a step that is later than this is not caught up
 
 
 class Session(Feed):
@@ -55,6 +55,7 @@ class Session(Feed):
         actions = {"run": self._run_or_pause, "step": self._single_step, "speed": self._set_speed,
                    "keys": self._hold, "hide": self._hide, "driver": self._choose,
                    "again": self._repeat, "another": self._begin_another, "compare": self._compare,
+                   "start": self._begin_at_start,
                    "target": self._move_target, "robot": self._move_robot,
                    "boxes": self._change_boxes, "room": self._load, "file": self._read}
         for name, argument in request.items():
@@ -97,6 +98,13 @@ class Session(Feed):
         self._waiting = []
         self._begin()
 
+    def _begin_at_start(self, _):
+        """Begins at the room's start, with the next one of its targets."""
+        self._paths = []
+        self._waiting = []
+        self._target = (self._target + 1) % len(self._scene.targets)
+        self._begin((self._scene.targets[self._target], np.array(self._scene.start)))
+
     def _compare(self, names):
         """Lets several drivers drive the same task, one after the other."""
         self._paths = []
@@ -117,8 +125,8 @@ class Session(Feed):
         pose = checked(pose, 3)
         x, y, _ = pose
         if not self._scene.fits(pose):
-            raise SceneError(f"the robot at ({x:.2f}, {y:.2f}) is nearer to a box than its radius, "
-                             f"{ROBOT_RADIUS} m")
+            raise SceneError(f"the robot at ({x:.2f}, {y:.2f}) is too close to a box: its radius "
+                             f"is {ROBOT_RADIUS} m")
         if self._away(pose[:2]) >= 2 * CELL:
             raise SceneError(f"no path leads to the robot at ({x:.2f}, {y:.2f})")
         self._leave_end()
@@ -171,8 +179,8 @@ class Session(Feed):
         self._scene = scene
         self._env = make_environment("anywhere", [scene], [0], self._hidden,
                                      environment_of([scene]))
-        self._env.max_episode_steps = -1  # no limit: a person may watch for as long as they like
         self._env.reset(seed=int(time.time()))
+        self._target = -1  # index of the last target of a task from the room's start
         self._begin_another()
         self.publish(room=room_content(self._scene))
 
@@ -216,7 +224,7 @@ class Session(Feed):
             self._begin_another()
 
     def _leave_end(self):
-        """If the episode has ended, begins another one here, so that something can be moved."""
+        """If the episode has ended, begins one at this place, so that things can be moved."""
         if self._outcome:
             self._begin((self._goal, self._pose))
 
@@ -282,13 +290,14 @@ class Session(Feed):
                  "image": encoded(self._seen["image"][0]),
                  "plan": [list(point) for point in self._plan()]}
         activations = getattr(self._driver, "activations", None)
-        if activations:
+        if activations and self._steps:
             memory = np.round(127 * activations["memory"][0]).astype(np.int8)  # (layers, HIDDEN)
             state |= {"value": float(activations["value"][0]),
                       "features": activations["features"][0].round(2).tolist(),
                       "memory": [encoded(layer) for layer in memory if memory.any()]}
         curves = self._run.curves() if self._run else {}
-        self.publish(state=state, paths=self._paths, curves=curves)
+        compared = self._paths if self._waiting or self._paths[1:] else []
+        self.publish(state=state, paths=compared, curves=curves)
 
     def _plan(self):
         """Returns the points that a planner still wants to reach."""
@@ -337,6 +346,7 @@ def action_of(keys):
 def room_content(scene):
     """Returns a Scene as the page shows it."""
     return {"name": scene.name, "bounds": scene.bounds.tolist(), "toml": scenes.to_toml(scene),
+            "start": scene.start,
             "targets": {"training": scene.training_targets, "new": scene.new_targets},
             "boxes": [asdict(box) | {"colour": PALETTE[box.material]} for box in scene.boxes]}
 

@@ -32,7 +32,7 @@ ENV1 = scenes.load("env1")
 def served():
     """A session in env1, and its server."""
     session = Session("env1", "you")
-    server = Server(session, 0, rooms=scenes.names(), drivers=drivers())
+    server = Server(session, 0, lambda: {"rooms": scenes.names(), "drivers": drivers()})
     for serve in (session.run, server.serve_forever):
         threading.Thread(target=serve, daemon=True).start()
     yield session, server
@@ -111,23 +111,25 @@ def test_a_dragged_robot_stands_there(page, served):
     assert np.allclose(served[0]._env.world.poses[0], (-3.0, -2.2, 0), atol=0.03)
 
 
-def test_a_click_moves_what_was_clicked_before(page, served):
-    page.mouse.click(*page.at(-1.0, -2.9))
-    page.mouse.click(*page.at(-3.0, -2.2))
-    page.until("!busy")
+def test_a_click_moves_what_was_clicked_before_but_only_once(page, served):
+    for place in ((-1.0, -2.9), (-3.0, -2.2), (-2.6, -3.0)):
+        page.mouse.click(*page.at(*place))
+        page.until("!busy")
     assert np.allclose(served[0]._env.goals[0], (-3.0, -2.2), atol=0.03)
 
 
 def test_number_fields_move_and_refuse(page, served):
     page.select_option("#thing", "target")
-    page.fill("#x", "-1.2")
-    page.keyboard.press("Enter")
+    page.fill("#x", "-3")
+    page.fill("#y", "-2.2")
+    page.click("#apply")
     page.until("!busy")
-    assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
+    assert np.allclose(served[0]._env.goals[0], (-3, -2.2))
     page.fill("#x", "-12")
     page.keyboard.press("Enter")
-    page.until("$('message').textContent.includes('the target at (-12.00, -2.90) cannot be reached')")
-    assert served[0]._env.goals[0][0] == pytest.approx(-1.2)
+    message = "the target at (-12.00, -2.20) cannot be reached"
+    page.until(f"$('message').textContent.includes('{message}')")
+    assert np.allclose(served[0]._env.goals[0], (-3, -2.2))
 
 
 def test_arrow_keys_drive_while_they_are_held(page, served):
@@ -192,6 +194,43 @@ def test_a_wall_is_drawn_turned_and_deleted(page, served):
     page.click("#delete")
     page.until("!busy")
     assert len(session._scene.boxes) == len(ENV1.boxes)
+    page.click("#draw")
+    page.mouse.click(*page.at(-2.0, -3.2))
+    page.mouse.click(*page.at(-1.4, -3.2))
+    page.until("!busy")
+    assert session._scene.boxes[-1].length == pytest.approx(0.6, abs=0.05)
+    page.click("#draw")
+    page.drag((-2.0, -2.6), (-3.2, -2.6))  # through the robot
+    assert len(session._scene.boxes) == len(ENV1.boxes) + 1
+    page.until(f"boxes.length === {len(ENV1.boxes) + 1}")
+
+
+def test_another_room_has_nothing_to_undo(page):
+    page.click("#draw")
+    page.drag((-2.0, -3.2), (-1.4, -3.2))
+    assert page.is_enabled("#undo")
+    page.select_option("#room", "env2")
+    page.until("room.name === 'env2'")
+    assert page.is_disabled("#undo") and page.input_value("#thing") == "target"
+
+
+def test_from_the_start_each_target_takes_its_turn(page, served):
+    goals = []
+    for _ in range(4):
+        page.click("#start")
+        page.until("!busy")
+        goals.append(served[0]._env.goals[0].tolist())
+        assert np.allclose(served[0]._env.world.poses[0, :2], ENV1.start[:2])
+    assert np.allclose(goals, [*ENV1.targets, ENV1.targets[0]])
+
+
+def test_after_a_choice_in_a_list_the_arrow_keys_drive(page):
+    page.select_option("#driver", "oracle")
+    page.select_option("#driver", "you")
+    page.click("#run")
+    page.keyboard.down("ArrowRight")
+    page.until("state.angular === -1 && state.driver === 'you'")
+    page.keyboard.up("ArrowRight")
 
 
 def test_the_image_is_the_cameras_and_hiding_takes_the_cube(page, served):
@@ -204,6 +243,8 @@ def test_the_image_is_the_cameras_and_hiding_takes_the_cube(page, served):
     page.select_option("#hide", "cube")
     page.until("state.hide === 'cube'")
     hidden = served[0]._seen["image"][0]
+    page.select_option("#hide", "both")
+    page.until("$('facts').textContent.includes('hidden')")
     assert is_blue.sum() > 20 and not ((hidden[..., 2] > 100) & (hidden[..., 0] < 40)).any()
 
 
