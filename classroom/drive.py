@@ -16,7 +16,7 @@ import scenes
 from evaluation import Planned, Policy, ShortestPaths, spl, wilson
 from evaluation.protocols import make_environment
 from playground.server import Feed, Server
-from playground.session import action_of, encoded, room_content
+from playground.session import action_of, encoded, held_keys, room_content
 from robot.environment import environment_of
 from sim import CONTROL_PERIOD, SceneError
 from support.cli import option, parse
@@ -48,7 +48,7 @@ class You(Feed):
         super().__init__()
         self.has_map = has_map
         self.message = "Press Start, then drive with the arrow keys."  # empty while you drive
-        self.held = []  # keys
+        self.held = set()  # keys
 
     def reset(self, env, robots):
         """Begins an episode: `act` waits for Start as long as there is a message."""
@@ -65,10 +65,10 @@ class You(Feed):
             self.listen(None)
         self.show(env, observations)
         self.steps += 1
-        pressed = set(self.held)
+        pressed = self.held
         end = time.monotonic() + CONTROL_PERIOD
         while (left := end - time.monotonic()) > 0:
-            pressed |= set(self.listen(left))
+            pressed = pressed | self.listen(left)
         return action_of(pressed)
 
     def listen(self, seconds):
@@ -77,9 +77,12 @@ class You(Feed):
             item = self.requests.get(timeout=seconds)
         except queue.Empty:
             item = None
+        else:
+            self.held = self.held if item else set()  # a page that crashed may have held keys
         if item:
             request, answer = item
-            self.held = request.get("keys", self.held)
+            if isinstance(request.get("keys"), list):
+                self.held = held_keys(request["keys"])
             if request.get("run"):
                 self.message = ""
             answer.put("")

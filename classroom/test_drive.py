@@ -78,7 +78,7 @@ class Straight(drive.You):
     def listen(self, seconds):
         self.message = ""
         side = "ArrowLeft" if self.bearing > 0 else "ArrowRight"
-        return ["ArrowUp", side] if abs(self.bearing) > 0.1 else ["ArrowUp"]
+        return {"ArrowUp", side} if abs(self.bearing) > 0.1 else {"ArrowUp"}
 
 
 def test_a_drive_is_saved_and_compared_and_first_tries_are_pooled(tmp_path, monkeypatch, capsys):

@@ -31,12 +31,12 @@ def main(argv=None):
         parser.error(error)
     except OSError as error:
         parser.error(f"--port {options.port} cannot be used: {error.strerror}")
-    threading.Thread(target=session.run, daemon=True).start()
     try:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
         print(f"{server.address}\nCtrl-C ends it", flush=True)
         if not options.no_browser:
             webbrowser.open(server.address)
-        server.serve_forever()
+        session.run()
     except KeyboardInterrupt:
         print("\nended")
 

@@ -9,7 +9,7 @@ import scenes
 from evaluation.drivers import Planned
 from evaluation.planners import PLANNERS
 from evaluation.replay import RecordingPolicy
-from support.runs import RunError
+from support.runs import RunError, read_table
 from support.weights import FILE, load_model
 
 HERE = Path(__file__).parent.parent
@@ -17,8 +17,7 @@ FOLDERS = {"pretrained": HERE / "pretrained", "classroom/runs": HERE / "classroo
            "runs": Path("runs")}  # prefix of a driver's name -> folder
 YOU = "you"
 WINDOW = 100  # episodes in a success rate, as in training
-SPACING = 20  # episodes between two points of a curve
-MOST_POINTS = 300
+MOST_POINTS = 300  # of a curve
 
 
 class You:
@@ -37,7 +36,7 @@ def policies():
     found = {}
     for prefix, folder in FOLDERS.items():
         files = [*folder.glob("*.safetensors"), *(path.parent for path in folder.glob(f"*/{FILE}"))]
-        found |= {f"{prefix}/{path.stem if path.suffix else path.name}": path
+        found |= {f"{prefix}/{path.name if path.is_dir() else path.stem}": path
                   for path in sorted(files)}
     return found
 
@@ -48,7 +47,8 @@ def drivers():
 
 
 def make_driver(name):
-    """Returns the driver with this name, and its Run if it is one of `runs/`. Raises RunError."""
+    """Returns the driver with this name, and its Run if it is the policy of a run folder. Raises
+    RunError."""
     if name == YOU:
         return You(), None
     if name in PLANNERS:
@@ -56,8 +56,12 @@ def make_driver(name):
     path = policies().get(name)
     if path is None:
         raise RunError(f"there is no driver {scenes.shown(name)} (any more)")
-    run = Run(path) if path.is_dir() else None
-    return RecordingPolicy(load_model(path)[0], "mean", seed=0), run
+    return policy(path), Run(path) if path.is_dir() else None
+
+
+def policy(path):
+    """Returns the driver for a weights file or a run folder. Raises RunError."""
+    return RecordingPolicy(load_model(path)[0], "mean", seed=0)
 
 
 class Run:
@@ -65,11 +69,8 @@ class Run:
 
     def __init__(self, path):
         self.path = path
+        self.curves = success_rates(path)
         self._time = self._modified()
-        self._read = 0  # number of bytes of episodes.csv
-        self._columns = []  # their names
-        self._arrivals = {"training": [], "new": []}
-        self._points = {"training": [], "new": []}
 
     def _modified(self):
         """Returns when the weights were written, or None if there are none (any more)."""
@@ -77,31 +78,29 @@ class Run:
         return file.stat().st_mtime_ns if file.exists() else None
 
     def newer_driver(self):
-        """Returns a driver with the weights written since the last call, or None. Raises
-        RunError."""
+        """Returns a driver with the weights written since the last call, or None, and reads the
+        success rates. Raises RunError."""
         before, self._time = self._time, self._modified()
         if self._time in (None, before):
             return None
-        return RecordingPolicy(load_model(self.path)[0], "mean", seed=0)
+        self.curves = success_rates(self.path)
+        return policy(self.path)
 
-    def curves(self):
-        """Returns the success rates of the last WINDOW episodes: kind -> list of [steps, rate]."""
-        try:
-            with open(self.path / "episodes.csv", "rb") as file:
-                file.seek(self._read)
-                text = file.read()
-        except OSError:
-            text = b""
-        text = text[:text.rfind(b"\n") + 1]  # a last line may be unfinished
-        self._read += len(text)
-        lines = text.decode().splitlines()
-        if lines and not self._columns:
-            self._columns = lines.pop(0).split(",")
-        for row in csv.DictReader(lines, self._columns):
-            arrivals = self._arrivals[row["kind"]]
-            arrivals.append(row["outcome"] == "arrival")
-            if len(arrivals) >= WINDOW and len(arrivals) % SPACING == 0:
-                rate = sum(arrivals[-WINDOW:]) / WINDOW
-                self._points[row["kind"]].append([int(row["steps"]), rate])
-        return {kind: points[::-(-len(points) // MOST_POINTS) or 1]
-                for kind, points in self._points.items()}
+
+def success_rates(folder):
+    """Returns the success rates of the last WINDOW episodes: kind -> list of [steps, rate]. A table
+    that cannot be read has none."""
+    curves = {}
+    try:
+        rows = read_table(folder / "episodes.csv")[:-1]  # the last one may be incomplete
+        for kind in ("training", "new"):
+            own = [row for row in rows if row["kind"] == kind]
+            arrived = [row["outcome"] == "arrival" for row in own]
+            if len(own) >= WINDOW:
+                rates = np.convolve(arrived, np.full(WINDOW, 1 / WINDOW), "valid")
+                every = 1 + len(rates) // MOST_POINTS
+                curves[kind] = [[int(own[k + WINDOW - 1]["steps"]), float(rates[k])]
+                                for k in range((len(rates) - 1) % every, len(rates), every)]
+    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        return {}
+    return curves

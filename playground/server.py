@@ -62,7 +62,7 @@ class Feed:
                         yield f"event: end\ndata: {json.dumps(TOO_MANY)}\n\n"
                         return
                     new = {name: text for name, text in self._texts.items()
-                           if sent.get(name) is not text}
+                           if sent.get(name) != text}
                     sent = dict(self._texts)
                 yield "".join(f"event: {name}\ndata: {text}\n\n"
                               for name, text in new.items()) or ": alive\n\n"
@@ -103,10 +103,10 @@ class Handler(BaseHTTPRequestHandler):
         size = self.headers.get("Content-Length", "")
         if self.headers.get("Content-Type") != "application/json" or not size.isdecimal():
             return self._answer(415)
-        if int(size) > MOST_BYTES:
+        if len(size) > 9 or int(size) > MOST_BYTES:
             return self._answer(413)
         try:
-            request = json.loads(self.rfile.read(int(size)))
+            request = json.loads(self.rfile.read(int(size)), parse_constant=refuse)
         except (ValueError, RecursionError):
             request = None
         if not isinstance(request, dict):
@@ -150,6 +150,11 @@ class Handler(BaseHTTPRequestHandler):
             events.close()
 
 
+def refuse(constant):
+    """Raises ValueError for NaN and Infinity, which are not JSON."""
+    raise ValueError(constant)
+
+
 class Server(ThreadingHTTPServer):
     """Serves the page of one Feed."""
 
@@ -166,9 +171,9 @@ class Server(ThreadingHTTPServer):
 
     def page(self):
         """Returns the page as bytes."""
-        text = json.dumps(self.lists()).replace("<", "\\u003c")
-        page = PAGE.read_text(encoding="utf-8").replace("LISTS", text, 1)
-        return page.replace("DRAWING", DRAWING.read_text(encoding="utf-8"), 1).encode()
+        page = PAGE.read_text(encoding="utf-8")
+        page = page.replace("DRAWING", DRAWING.read_text(encoding="utf-8"), 1)
+        return page.replace("LISTS", json.dumps(self.lists()).replace("<", "\\u003c"), 1).encode()
 
     def handle_error(self, request, client_address):
         """Prints an error, unless the browser has closed the connection."""

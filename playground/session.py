@@ -15,7 +15,7 @@ import numpy as np
 import scenes
 from evaluation.drivers import Planned
 from evaluation.protocols import HIDDEN, hide, make_environment
-from playground.choices import YOU, make_driver
+from playground.choices import YOU, drivers, make_driver
 from playground.server import Feed
 from robot.environment import environment_of
 from sim import ARRIVAL_DISTANCE, CELL, CONTROL_PERIOD, ROBOT_RADIUS, SceneError
@@ -40,7 +40,8 @@ class Session(Feed):
         self._message = ""
         self._runs = True
         self._speed = 1.0
-        self._held = ()  # keys
+        self._held = set()  # keys
+        self._pressed = set()  # keys that were held since the last step
         self._hidden = ""
         self._waiting = []  # names of drivers that will drive the same task
         self._paths = []  # of the earlier episodes of this task
@@ -69,14 +70,14 @@ class Session(Feed):
         self._step()
 
     def _set_speed(self, speed):
-        self._speed = float(np.clip(float(speed), *SPEEDS))
+        self._speed = scenes.number(speed, "speed", *SPEEDS)
 
     def _hold(self, keys):
-        self._held = [key for key in KEYS if key in keys]  # ignores all others
+        self._held = held_keys(keys)
+        self._pressed |= self._held
 
     def _hide(self, what):
-        if what not in HIDDEN:
-            raise ValueError(f"hide is {what!r}; it must be one of {HIDDEN}")
+        scenes.check(what in HIDDEN, f"hide is {scenes.shown(what)}; it must be one of {HIDDEN}")
         self._hidden = what
         hide(self._env, what)
         self._look()
@@ -107,14 +108,17 @@ class Session(Feed):
 
     def _compare(self, names):
         """Lets several drivers drive the same task, one after the other."""
+        known = drivers()
+        scenes.check(names, "choose at least one driver to compare")
+        for name in names:
+            scenes.check(name in known, f"there is no driver {scenes.shown(name)}")
         self._paths = []
-        self._waiting = [str(name) for name in names]
+        self._waiting = list(names)
         self._runs = True
         self._next_episode()
 
     def _move_target(self, place):
-        place = checked(place, 2)
-        x, y = place
+        x, y = place = scenes.numbers(place, "the target", 2)
         if not self._scene.clearance(place) > 0 or self._away(place) >= ARRIVAL_DISTANCE:
             raise SceneError(f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
         self._leave_end()
@@ -122,8 +126,7 @@ class Session(Feed):
         self._moved()
 
     def _move_robot(self, pose):
-        pose = checked(pose, 3)
-        x, y, _ = pose
+        x, y, _ = pose = scenes.numbers(pose, "the robot", 3)
         if not self._scene.fits(pose):
             raise SceneError(f"the robot at ({x:.2f}, {y:.2f}) is too close to a box: its radius "
                              f"is {ROBOT_RADIUS} m")
@@ -141,6 +144,8 @@ class Session(Feed):
         pose = self._env.world.poses[0]
         here = {"start": pose.round(3).tolist(), "training_targets": [goal.round(3).tolist()],
                 "new_targets": [], "other_starts": [], "boxes": boxes}
+        for box in boxes:  # as `to_toml` does, so that a saved room is the same
+            box |= {key: round(box[key], 3) for key in ("x", "y", "length", "thickness", "height")}
         try:
             new = scenes.rebuild(asdict(old) | here)
         except SceneError as error:
@@ -170,7 +175,8 @@ class Session(Feed):
 
     def _read(self, file):
         """Enters the room of a file that was opened in the browser: its name and its text."""
-        self._enter(scenes.read(str(file["text"]), Path(Path(str(file["name"])).name)))
+        scene = scenes.read(str(file["text"]), Path(Path(str(file["name"])).name))
+        self._enter(scenes.rebuild(asdict(scene)))  # checks the name
 
     # ----------------------------------------------------------------------------- the simulation
 
@@ -211,9 +217,11 @@ class Session(Feed):
 
     def _refresh(self):
         """Takes the newest weights of a run under way. If there are none, the last ones remain."""
-        newer = self._run and self._run.newer_driver()
-        if newer:
-            self._driver = newer
+        try:
+            newer = self._run and self._run.newer_driver()
+            self._driver = newer or self._driver
+        except RunError as error:
+            self._message = str(error)
 
     def _next_episode(self):
         """Begins the next episode: with the next driver that waits, or with another task."""
@@ -231,8 +239,8 @@ class Session(Feed):
     def _put(self, pose):
         """Moves the robot."""
         self._env.world.place(ROBOT, [pose])
-        if hasattr(self._env, "estimates"):
-            self._env.estimates[0] = pose
+        for name in {"estimates", "_last_estimates"} & vars(self._env).keys():  # in the lab
+            getattr(self._env, name)[0] = pose
 
     def _moved(self):
         """Begins a new task here: something was moved. A policy keeps its memory."""
@@ -258,8 +266,9 @@ class Session(Feed):
         if self._outcome:
             return self._next_episode()
         action = self._driver.act(self._env, self._seen)
-        if self._held:
-            action = action_of(self._held)
+        if self._held | self._pressed:
+            action = action_of(self._held | self._pressed)
+        self._pressed = set()
         seen, rewards, terminated, truncated, infos = self._env.step(action)
         self._command = infos["command"]
         self._reward = float(rewards[0])
@@ -295,7 +304,7 @@ class Session(Feed):
             state |= {"value": float(activations["value"][0]),
                       "features": activations["features"][0].round(2).tolist(),
                       "memory": [encoded(layer) for layer in memory if memory.any()]}
-        curves = self._run.curves() if self._run else {}
+        curves = self._run.curves if self._run else {}
         compared = self._paths if self._waiting or self._paths[1:] else []
         self.publish(state=state, paths=compared, curves=curves)
 
@@ -320,6 +329,7 @@ class Session(Feed):
                 due = max(due, time.monotonic() - STILL)
                 due += min(HOLD, 4 * period) if self._outcome else period
             else:
+                self._held = self._held if item else set()  # a page that crashed may have held keys
                 if item:
                     request, answer = item
                     self._message = ""  # of an earlier request
@@ -333,14 +343,25 @@ class Session(Feed):
             self._message = str(error)
         except Exception as error:  # of a driver, or of a request that no page of ours sends
             self._runs = False
-            self._message = f"paused: {type(error).__name__}: {error}"
-        self._publish_state()
+            self._message = f"paused: {type(error).__name__}: {str(error)[:200]}"
+        try:
+            self._publish_state()
+        except Exception as error:  # of a driver: it is replaced
+            self._runs = False
+            self._message = f"paused: {type(error).__name__}: {str(error)[:200]}"
+            self._choose(YOU)
+            self._publish_state()
         return self._message
 
 
+def held_keys(keys):
+    """Returns the set of known keys in a list from a page. Raises TypeError."""
+    return set(KEYS) & {key for key in keys if isinstance(key, str)}
+
+
 def action_of(keys):
-    """Returns the action (1, 2) of the arrow keys that are held."""
-    return np.sum([(0, 0), *(KEYS[key] for key in KEYS if key in keys)], 0, dtype=float)[None]
+    """Returns the action (1, 2) of a set of arrow keys that are held."""
+    return np.sum([(0, 0), *(KEYS[key] for key in keys)], 0, dtype=float)[None]
 
 
 def room_content(scene):
@@ -349,14 +370,6 @@ def room_content(scene):
             "start": scene.start,
             "targets": {"training": scene.training_targets, "new": scene.new_targets},
             "boxes": [asdict(box) | {"colour": PALETTE[box.material]} for box in scene.boxes]}
-
-
-def checked(numbers, count):
-    """Returns a list of `count` finite numbers as an array. Raises ValueError."""
-    array = np.array(numbers, float)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{count} finite numbers are needed, not {scenes.shown(numbers)}")
-    return array
 
 
 def encoded(array):

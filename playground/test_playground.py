@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import asdict
 from http.client import HTTPConnection
 from importlib.util import find_spec
 
@@ -19,7 +20,7 @@ import scenes
 from evaluation.replay import make_page
 from playground import choices
 from playground.__main__ import main
-from playground.choices import HERE, Run, drivers
+from playground.choices import HERE, drivers, success_rates
 from playground.server import MOST_PAGES, Server
 from playground.session import Session
 from support.weights import load_model
@@ -257,8 +258,8 @@ def test_each_kind_of_driver_drives(page, driver):
 
 def test_drivers_are_compared_on_one_task(page, served):
     page.click("summary")
-    page.check("[value=oracle]")
-    page.check("[value=bug]")
+    page.check("[type=checkbox][value=oracle]")
+    page.check("[type=checkbox][value=bug]")
     page.click("#compare")
     page.until("paths.length === 2 && !state.runs", 60)
     assert [path["driver"] for path in page.evaluate("paths")] == ["oracle", "bug"]
@@ -368,9 +369,9 @@ def test_every_control_has_a_name_and_nothing_is_cut_off(browser, served, option
 def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
     (tmp_path / "one").mkdir()
     shutil.copy(HERE / "pretrained" / "env1.safetensors", tmp_path / "one/model.safetensors")
-    rows = [f"{k},env1,0,0,training,{'arrival' if k % 2 else 'collision'},0,9" for k in range(200)]
+    rows = [f"{k},env1,0,0,training,{'arrival' if k % 2 else 'collision'},0,9" for k in range(400)]
     (tmp_path / "one" / "episodes.csv").write_text("\n".join(
-        ["steps,scene,target_x,target_y,kind,outcome,return,length", *rows, "200,env1"]))
+        ["steps,scene,target_x,target_y,kind,outcome,return,length", *rows, "400,env1"]))
     monkeypatch.setitem(choices.FOLDERS, "runs", tmp_path)
     page.request(driver="runs/one", run=True)
     page.until("state.value !== undefined && !$('training').hidden")
@@ -382,13 +383,62 @@ def test_a_run_that_is_deleted_while_it_drives(page, tmp_path, monkeypatch):
     page.until("$('message').textContent.includes('there is no driver')")
 
 
-def test_a_run_under_way_shows_newer_weights(tmp_path):
-    file = tmp_path / "model.safetensors"
+def test_newer_weights_of_a_run_drive_the_next_episode(page, served, tmp_path, monkeypatch):
+    file = tmp_path / "lr0.001" / "model.safetensors"
+    file.parent.mkdir()
     shutil.copy(HERE / "pretrained" / "env1.safetensors", file)
-    run = Run(tmp_path)
-    assert run.newer_driver() is None
+    monkeypatch.setitem(choices.FOLDERS, "runs", tmp_path)
+    page.request(driver="runs/lr0.001")
+    first = served[0]._driver
+    page.request(again=True)
+    assert served[0]._driver is first
     os.utime(file, ns=(1, 1))
-    assert run.newer_driver() is not None and run.newer_driver() is None
+    page.request(again=True)
+    assert served[0]._driver is not first
+    file.write_text("broken")
+    newest = served[0]._driver
+    page.request(again=True)
+    assert served[0]._driver is newest and "has no weights" in page.text_content("#message")
+    page.request(driver="you")
+
+
+@pytest.mark.parametrize("line", ["1,env1", "1,env1,0,0,odd,arrival,0,9", "x" * 99, "\xff"])
+def test_a_damaged_table_has_no_curves(tmp_path, line):
+    rows = "1,env1,0,0,new,arrival,0,9\n" * 200
+    head = "steps,scene,target_x,target_y,kind,outcome,return,length\n"
+    (tmp_path / "episodes.csv").write_text(head + rows + "\n" * 2, encoding="latin-1")
+    assert success_rates(tmp_path)["new"][-1] == [1, 1]
+    (tmp_path / "episodes.csv").write_text(line + "\n" + line + "\n" + rows, encoding="latin-1")
+    assert success_rates(tmp_path) == {}
+
+
+def test_a_failing_driver_pauses_the_page(page, served):
+    page.request(driver="oracle")
+    served[0]._driver.act = lambda env, observations: 1 / 0
+    page.click("#run")
+    page.until("!state.runs && state.message.includes('ZeroDivisionError')")
+    page.request(driver="oracle")
+    served[0]._driver.planners[0].path = 3  # fails when it is shown
+    page.click("#step")
+    page.until("state.driver === 'you' && state.message.includes('TypeError')")
+
+
+def test_a_new_page_releases_the_keys_of_one_that_crashed(page, browser, served):
+    page.request(keys=["ArrowLeft"])
+    assert served[0]._held == {"ArrowLeft"}
+    Page(browser, served[1]).close()
+    assert served[0]._held == set()
+
+
+def test_a_tap_counts_for_one_step(page):
+    page.request(keys=["ArrowLeft"])
+    page.request(keys=[])
+    page.click("#step")
+    page.until("state.steps === 1")
+    assert page.evaluate("state.angular") == 1
+    page.click("#step")
+    page.until("state.steps === 2")
+    assert page.evaluate("state.angular") == 0
 
 
 # ------------------------------------------------------------------------------- hostile requests
@@ -408,6 +458,7 @@ def status(server, method, path, headers, body=None):
 
 def test_only_its_own_page_can_read_or_steer(served):
     session, server = served
+    assert server.server_address[0] == "127.0.0.1"
     root = server.root
     own = {"Host": f"127.0.0.1:{server.server_port}"}
     assert status(server, "GET", root, own) == 200
@@ -426,7 +477,7 @@ def test_only_its_own_page_can_read_or_steer(served):
     assert status(server, "POST", root + "do", own | {"Content-Type": "text/plain"},
                   b'{"speed": 3}') == 415
     assert status(server, "POST", root + "do", as_json, b" " * 2 * 10 ** 6) == 413
-    for body in (b"speed", b"[]", b"[" * 10 ** 5):
+    for body in (b"speed", b"[]", b"[" * 10 ** 5, b'{"speed": NaN}'):
         assert status(server, "POST", root + "do", as_json, body) == 400
     assert session._speed == speed
     assert status(server, "POST", root + "do", as_json | {"Origin": f"http://{own['Host']}"},
@@ -452,10 +503,14 @@ def test_a_hostile_page_that_knows_the_secret_reads_nothing(browser, served):
 
 def test_bad_requests_get_one_sentence(served):
     session, _ = served
+    session.ask({"room": "env1"})
+    outside = [asdict(box) | {"x": box.x - 9.0} for box in ENV1.boxes]
+    assert "is outside the room" in session.ask({"boxes": outside})
     for request in ({"room": "../x"}, {"room": "/etc/passwd"}, {"room": 3}, {"target": [1]},
                     {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": [{}]}, {"driver": "x/y"},
                     {"driver": []}, {"hide": "x"}, {"nothing": 1}, {"speed": "fast"}, {"file": 3},
-                    {"compare": 3}, {"keys": 3}, {"target": [float("nan"), 0]}):
+                    {"compare": 3}, {"compare": []}, {"compare": ["x"]}, {"keys": 3}, {"speed": 99},
+                    {"file": {"name": "..toml", "text": scenes.to_toml(ENV1)}}, {"target": [float("nan"), 0]}):
         message = session.ask(request)
         assert message and "\n" not in message, request
     assert session.ask({"another": True}) == ""

@@ -1,6 +1,7 @@
 """Loads rooms: a TOML file such as `scenes/env1.toml` (docs/rooms.md) becomes a `sim.Scene`. Files
 are in metres and degrees, Scenes in metres and radians, both in world coordinates."""
 
+import json
 import math
 import os
 import reprlib
@@ -67,8 +68,8 @@ def read(text, path):
 
 
 def to_toml(scene):
-    """Returns the text of a scene file for a Scene without errors of a real robot. Positions are
-    rounded to millimetres, angles to hundredths of a degree."""
+    """Returns the text of a scene file for a Scene. Positions are rounded to millimetres, angles to
+    hundredths of a degree."""
     def pose(start):
         x, y, heading = start
         return f"{{ x = {x:.3f}, y = {y:.3f}, heading_degrees = {math.degrees(heading):.2f} }}"
@@ -80,11 +81,19 @@ def to_toml(scene):
              f"yaw_degrees = {math.degrees(box.yaw):.2f}, length = {box.length:.3f}, "
              f"thickness = {box.thickness:.3f}, height = {box.height:.3f} }},"
              for box in scene.boxes]
+    reality = []
+    if scene.reality:
+        from scenes.reality import ANGLES
+        values = {f"{name}_degrees" if name in ANGLES else name:
+                  math.degrees(value) if name in ANGLES else value
+                  for name, value in vars(scene.reality).items()}
+        reality = ["[reality]", *(f"{name} = {json.dumps(value)}"
+                                  for name, value in values.items()), ""]
     return "\n".join([f"start = {pose(scene.start)}",
                       f"other_starts = [{', '.join(map(pose, scene.other_starts))}]",
                       f"training_targets = [{places(scene.training_targets)}]",
                       f"new_targets = [{places(scene.new_targets)}]",
-                      "boxes = [", *boxes, "]", ""])
+                      "boxes = [", *boxes, "]", "", *reality])
 
 
 def rebuild(fields):
@@ -118,6 +127,7 @@ def parse(table, name, in_degrees=True):
     for start in (scene.start, *scene.other_starts):
         check(scene.clearance(start[:2]) > ROBOT_RADIUS,
               f"start {start[:2]} is nearer to a box than the robot's radius, {ROBOT_RADIUS} m")
+        check(scene.fits(start), f"start {start[:2]} is outside the room")
     for kind in ("training_targets", "new_targets"):
         for k, target in enumerate(getattr(scene, kind)):
             [away] = distance_to_nearest([target], scene.reachable)

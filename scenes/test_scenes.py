@@ -6,6 +6,7 @@ import re
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import scenes
@@ -136,3 +137,16 @@ def test_an_unusable_room_gives_one_line(name, content, words, capsys, tmp_path,
     printed = capsys.readouterr()
     assert stop.value.code == 2 and printed.out == "" and printed.err.count("\n") == 1
     assert words in printed.err
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_a_room_written_as_toml_is_the_same_to_a_millimetre(name):
+    room = scenes.load(name)
+    copy = scenes.read(scenes.to_toml(room), Path(f"{name}.toml"))
+    assert np.allclose([box.corners for box in copy.boxes], [box.corners for box in room.boxes],
+                       atol=2e-3)
+    assert [box.material for box in copy.boxes] == [box.material for box in room.boxes]
+    assert np.allclose(copy.targets, room.targets, atol=1e-3)
+    assert len(copy.training_targets) == len(room.training_targets)
+    assert np.allclose((copy.start, *copy.other_starts), (room.start, *room.other_starts), atol=1e-3)
+    assert copy.reality == room.reality
