@@ -21,6 +21,7 @@ from robot.environment import environment_of
 from sim import CONTROL_PERIOD, SceneError
 from support.cli import option, parse
 from support.pictures import WIDTH, draw_path, draw_robot, draw_room, draw_target, save
+from support.runs import RunError
 from support.traces import drive
 from support.weights import load_model
 
@@ -144,38 +145,33 @@ def table(results):
     return "\n".join([f"{'':30}  success  95 % interval   SPL  seconds to arrive", *lines])
 
 
-def main(argv=None):
-    """Lets you drive, then a policy and planners, and compares all of them."""
-    options, parser = parse(Options, "Drive the robot yourself, from its camera image.", argv)
+def drive_yourself(options, scene):
+    """Serves the page until you have driven all tasks, and adds them to drives.csv. Returns your
+    Traces and the page's You. Raises RunError, OSError."""
     folder = Path(options.out)
-    try:
-        scene = scenes.load(options.env)
-        folder.mkdir(parents=True, exist_ok=True)  # before the drive, since this may fail
-        you = You(options.map)
-        server = Server(you, options.port, lambda: {"rooms": [], "drivers": [], "record": True})
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        print(server.address, flush=True)
-        if not options.no_browser:
-            webbrowser.open(server.address)
-        yours = []
-        for trace in same_tasks(you, scene, options.episodes, options.seed):
-            yours.append(trace)
-            you.message = (f"Episode {len(yours)} of {options.episodes}: {trace.outcome}, return "
-                           f"{trace.rewards.sum():.0f}. Press Start for the next one.")
-        rows = rows_of(yours, options.name, options.env, options.seed)
-        with open(folder / "drives.csv", "a", newline="", encoding="utf-8") as text:
-            writer = csv.DictWriter(text, rows[0])
-            if text.tell() == 0:
-                writer.writeheader()
-            writer.writerows(rows)
-    except (SceneError, OSError) as error:
-        parser.error(error)
-    except KeyboardInterrupt:
-        parser.exit(130, "\nended: the drive was not saved\n")
-    you.publish(end=f"Done. The last episode: {yours[-1].outcome}. The terminal shows a table.")
-    drives = [(options.name, yours)]
-    for name, driver in [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]:
-        drives.append((name, list(same_tasks(driver, scene, options.episodes, options.seed))))
+    folder.mkdir(parents=True, exist_ok=True)  # before the drive, since this may fail
+    you = You(options.map)
+    server = Server(you, options.port, lambda: {"rooms": [], "drivers": [], "record": True})
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    print(server.address, flush=True)
+    if not options.no_browser:
+        webbrowser.open(server.address)
+    traces = []
+    for trace in same_tasks(you, scene, options.episodes, options.seed):
+        traces.append(trace)
+        you.message = (f"Episode {len(traces)} of {options.episodes}: {trace.outcome}, return "
+                       f"{trace.rewards.sum():.0f}. Press Start for the next one.")
+    rows = rows_of(traces, options.name, options.env, options.seed)
+    with open(folder / "drives.csv", "a", newline="", encoding="utf-8") as text:
+        writer = csv.DictWriter(text, rows[0])
+        if text.tell() == 0:
+            writer.writeheader()
+        writer.writerows(rows)
+    return traces, you
+
+
+def draw_paths(scene, drives):
+    """Returns a Figure with the paths of each driver. drives: pairs of a name and its Traces."""
     figure = Figure(figsize=(2.5 * WIDTH, 4.5), layout="constrained")
     for axes, (name, traces) in zip(figure.subplots(1, len(drives)), drives):
         draw_room(axes, scene)
@@ -184,9 +180,30 @@ def main(argv=None):
             draw_target(axes, scene, trace.goal)
             draw_robot(axes, trace.start)
             draw_path(axes, trace)
-    save(figure, folder / "paths.png")
+    return figure
+
+
+def main(argv=None):
+    """Lets you drive, then a policy and planners, and compares all of them."""
+    options, parser = parse(Options, "Drive the robot yourself, from its camera image.", argv)
+    saved = "not saved"
+    try:
+        scene = scenes.load(options.env)
+        yours, you = drive_yourself(options, scene)
+        saved = "saved"
+        you.publish(end=f"Done. Last episode: {yours[-1].outcome}. The terminal shows a table.")
+        drives = [(options.name, yours)]
+        others = [policy_for(scene), *((name, Planned(name, seed=0)) for name in OTHERS)]
+        for name, driver in others:
+            traces = same_tasks(driver, scene, options.episodes, options.seed)
+            drives.append((name, list(traces)))
+        save(draw_paths(scene, drives), Path(options.out) / "paths.png")
+    except (SceneError, RunError, OSError) as error:
+        parser.error(error)
+    except KeyboardInterrupt:
+        parser.exit(130, f"\nended: the drive is {saved}\n")
     print(table([(name, summary(rows_of(traces))) for name, traces in drives]))
-    print(f"paths.png and drives.csv: {folder}")
+    print(f"paths.png and drives.csv: {options.out}")
 
 
 if __name__ == "__main__":

@@ -130,3 +130,17 @@ def test_an_error_names_drives_that_cannot_be_pooled(tmp_path, capsys, files, wo
         pool.main([str(tmp_path)])
     printed = capsys.readouterr().err
     assert end.value.code == 2 and words in printed and printed.count("\n") == 1
+
+
+@pytest.mark.parametrize("fails, words", [("drive_yourself", "not saved"), ("policy_for", "is saved")])
+def test_ctrl_c_says_whether_the_drive_is_saved(fails, words, tmp_path, monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+    monkeypatch.setattr(drive, "You", Straight)
+    monkeypatch.setattr(drive, "CONTROL_PERIOD", 1e-4)
+    monkeypatch.setattr(drive, fails, interrupted)
+    with pytest.raises(SystemExit) as end:
+        drive.main(["--no-browser", "--port", "0", "--episodes", "1", "--out", str(tmp_path)])
+    printed = capsys.readouterr().err
+    assert end.value.code == 130 and words in printed and "Traceback" not in printed
+    assert (tmp_path / "drives.csv").exists() is (fails == "policy_for")

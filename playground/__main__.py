@@ -29,8 +29,6 @@ def main(argv=None):
         server = Server(session, options.port, lambda: {"rooms": scenes.names(), "drivers": drivers()})
     except (SceneError, RunError) as error:
         parser.error(error)
-    except OSError as error:
-        parser.error(f"--port {options.port} cannot be used: {error.strerror}")
     try:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         print(f"{server.address}\nCtrl-C ends it", flush=True)

@@ -14,6 +14,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from evaluation.replay import DRAWING
+from support.runs import RunError
 
 PAGE = Path(__file__).with_name("page.html")
 MOST_BYTES = 10 ** 6  # in a request, enough for a room's file
@@ -162,8 +163,11 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self, feed, port, lists):
         """port: 0 for any free one. lists: a function that returns values for a new page, such as
-        the names of rooms. Raises OSError."""
-        super().__init__(("127.0.0.1", port), Handler)
+        the names of rooms. Raises RunError."""
+        try:
+            super().__init__(("127.0.0.1", port), Handler)
+        except OSError as error:
+            raise RunError(f"--port {port} cannot be used: {error.strerror}") from None
         self.feed = feed
         self.lists = lists
         self.root = f"/{secrets.token_urlsafe(12)}/"

@@ -157,6 +157,19 @@ def test_buttons_drive_while_they_are_pressed(page, served):
     page.until("state.linear === 0")
 
 
+def test_a_planner_plans_again_when_something_is_moved(page):
+    page.request(driver="oracle")
+    page.drag((-1.0, -2.9), (-3.0, -2.2))
+    page.until("state.plan.length > 0")
+    assert np.allclose(page.evaluate("state.plan.at(-1)"), (-3.0, -2.2), atol=0.2)
+
+
+def test_a_target_inside_a_box_is_refused(page, served):
+    box = next(box for box in ENV1.boxes if box.material == "wood")
+    edge = [box.x + box.length / 2 - 0.03, box.y]
+    assert "cannot be reached" in served[0].ask({"target": edge})
+
+
 def test_keys_override_a_policy_which_goes_on_thinking(page, served):
     page.request(driver="pretrained/env1")
     page.evaluate("document.activeElement.blur()")
