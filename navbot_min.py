@@ -151,8 +151,8 @@ class NavVecEnv(VectorEnv):
         refuse_reality(scenes)
 
     def reset(self, *, seed=None, options=None):
-        """Starts an episode for every robot. options: `target`, an index into the scene's targets
-        (from the start pose), and `start`, a pose, shared or per robot. Raises ValueError."""
+        """Starts an episode for every robot. options, shared or per robot: `target`, an index into
+        the scene's targets, from the start pose; `goal`, a place; `start`. Raises ValueError."""
         options = check_options(options or {}, self.world.scenes)
         super().reset(seed=seed)
         self._steps = np.zeros(self.num_envs, dtype=int)
@@ -268,7 +268,7 @@ class NavEnv(gym.Env):
         self._screen = None  # the pictures of `render`
 
     def reset(self, *, seed=None, options=None):
-        """Starts an episode. options: `target` and `start`, as in NavVecEnv."""
+        """Starts an episode. options: as in NavVecEnv."""
         super().reset(seed=seed)
         self.vector.np_random = self.np_random  # a user may have set another generator
         observations, infos = self.vector.reset(options=options)

@@ -381,13 +381,16 @@ def test_reset_starts_the_requested_episode():
     assert observation["target"] == pytest.approx(expected, abs=1e-5)
     assert env.step([0.0, 0.0])[4]["target_index"] == 1
     many = navbot_min.NavVecEnv(3)
+    many.reset(seed=0, options={"goal": (-1.0, -2.9)})
+    assert (many.goals == (-1.0, -2.9)).all()
     _, infos = many.reset(seed=0, options={"target": [2, 0, 1]})
     assert (many.goals == ENV1.targets[[2, 0, 1]]).all()
     assert np.allclose(infos["pose"][:, :2], ENV1.start[:2])
 
 
 @pytest.mark.parametrize("options, words", [
-    ({"targets": 1}, "options has an unknown key 'targets'; known: target, start"),
+    ({"targets": 1}, "options has an unknown key 'targets'; known: target, goal, start"),
+    ({"goal": (-9.0, 0.0)}, "options['goal'] is (-9.0, 0.0); it must be a place (x, y) that"),
     ({"target": 3}, "options['target'] is 3; it must be an index into the targets of env1"),
     ({"target": True}, "options['target'] is True"),
     ({"start": (-2.0, np.nan, 0)}, "it must be a pose (x, y, theta), 0.178 m or more from"),

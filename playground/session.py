@@ -18,7 +18,8 @@ from evaluation.protocols import HIDDEN, hide, make_environment
 from playground.choices import YOU, drivers, make_driver
 from playground.server import Feed
 from robot.environment import environment_of
-from sim import ARRIVAL_DISTANCE, CELL, CONTROL_PERIOD, ROBOT_RADIUS, SceneError
+from sim import CONTROL_PERIOD, ROBOT_RADIUS, SceneError
+from support.checks import is_reachable
 from support.palette import PALETTE
 from support.rooms import change_room
 from support.runs import RunError
@@ -119,19 +120,18 @@ class Session(Feed):
 
     def _move_target(self, place):
         x, y = place = scenes.numbers(place, "the target", 2)
-        if not self._scene.clearance(place) > 0 or self._away(place) >= ARRIVAL_DISTANCE:
-            raise SceneError(f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
+        scenes.check(is_reachable(self._scene, place),
+                     f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
         self._leave_end()
         self._env.goals[0] = place
         self._moved()
 
     def _move_robot(self, pose):
         x, y, _ = pose = scenes.numbers(pose, "the robot", 3)
-        if not self._scene.fits(pose):
-            raise SceneError(f"the robot at ({x:.2f}, {y:.2f}) is too close to a box: its radius "
-                             f"is {ROBOT_RADIUS} m")
-        if self._away(pose[:2]) >= 2 * CELL:
-            raise SceneError(f"no path leads to the robot at ({x:.2f}, {y:.2f})")
+        here = f"the robot at ({x:.2f}, {y:.2f})"
+        scenes.check(self._scene.fits(pose), f"{here} is too close to a box: its radius is "
+                     f"{ROBOT_RADIUS} m")
+        scenes.check(is_reachable(self._scene, pose[:2]), f"no path leads to {here}")
         self._leave_end()
         self._put(pose)
         self._moved()
@@ -154,14 +154,14 @@ class Session(Feed):
                 text = text.replace(name, shown)
             raise SceneError(text) from None
 
-        def free(places, nearest):
-            return tuple(place for place in places if new.clearance(place[:2]) > nearest
-                         and self._away(place[:2], new) < ARRIVAL_DISTANCE)
+        def free(places):
+            return tuple(place for place in places if is_reachable(new, place[:2]))
 
-        starts = free((old.start, *old.other_starts), ROBOT_RADIUS) or (tuple(pose.tolist()),)
-        targets = free(old.training_targets, 0) or new.training_targets
+        starts = tuple(start for start in free((old.start, *old.other_starts)) if new.fits(start))
+        starts = starts or (tuple(pose.tolist()),)
         self._scene = replace(new, start=starts[0], other_starts=starts[1:],
-                              training_targets=targets, new_targets=free(old.new_targets, 0))
+                              training_targets=free(old.training_targets) or new.training_targets,
+                              new_targets=free(old.new_targets))
         change_room(self._env, 0, self._scene)
         self._put(pose)
         self._moved()
@@ -190,16 +190,10 @@ class Session(Feed):
         self._begin_another()
         self.publish(room=room_content(self._scene))
 
-    def _away(self, place, scene=None):
-        """Returns the distance [m] from a place to the nearest one that the robot can reach."""
-        return scenes.distance_to_nearest([place], (scene or self._scene).reachable)[0]
-
     def _begin(self, task=None):
         """Begins an episode: a task (goal, start), or a random one."""
         env = self._env
-        observations, _ = env.reset(options={"start": task[1]} if task else None)
-        if task:
-            env.goals[0] = task[0]
+        observations, _ = env.reset(options={"goal": task[0], "start": task[1]} if task else None)
         self._task = env.goals[0].copy(), env.starts[0].copy()
         self._seen = observations
         self._command = np.zeros((1, 2))
@@ -212,8 +206,6 @@ class Session(Feed):
         self._path = [self._pose[:2].round(3).tolist()]
         self._refresh()
         self._driver.reset(env, ROBOT)
-        if task:
-            self._look()
 
     def _refresh(self):
         """Takes the newest weights of a run under way. If there are none, the last ones remain."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim import ROBOT_RADIUS, SceneError
+from sim import ARRIVAL_DISTANCE, ROBOT_RADIUS, SceneError
 
 NO_LIMIT = -1  # value of max_episode_steps for no limit, as in Gymnasium
 
@@ -43,17 +43,26 @@ def target_choices(targets, r, scene):
     return [targets[r]]
 
 
+def is_reachable(scene, place):
+    """Returns whether a robot that starts at the start pose can arrive at a place (x, y)."""
+    away = np.hypot(*(scene.reachable - place).T)
+    return bool(scene.clearance(place) > 0 and away.min() < ARRIVAL_DISTANCE)
+
+
 def check_options(options, scenes):
     """Returns the options of a reset as arrays, with a value for each Scene. Raises ValueError."""
     checked = {}
-    shapes = {"target": len(scenes), "start": (len(scenes), 3)}
+    shapes = {"target": len(scenes), "goal": (len(scenes), 2), "start": (len(scenes), 3)}
     for name, value in options.items():
-        check(name in shapes, f"options has an unknown key {name!r}; known: target, start")
+        check(name in shapes, f"options has an unknown key {name!r}; known: {', '.join(shapes)}")
         checked[name] = np.broadcast_to(value, shapes[name])
         for given, scene in zip(checked[name], scenes):
             if name == "start":
                 valid = scene.fits(given)
                 what = f"a pose (x, y, theta), {ROBOT_RADIUS} m or more from all boxes, inside"
+            elif name == "goal":
+                valid = is_reachable(scene, given)
+                what = "a place (x, y) that a robot can reach in"
             else:
                 valid = given.dtype.kind == "i" and given in range(len(scene.targets))
                 what = "an index into the targets of"
@@ -68,6 +77,7 @@ def asked_episode(episode, options, r, scene):
         target = options["target"][r]
         goal = scene.targets[target]
         start = scene.start
+    goal = options["goal"][r] if "goal" in options else goal
     return target, goal, options["start"][r] if "start" in options else start
 
 
