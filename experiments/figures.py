@@ -380,7 +380,6 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env1.png": lambda: draw_fig6("env1"),
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
-    "episode.gif": lambda: film_episode(*pretrained("env1")),
     "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "GAE"),
     "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "clipping"),
     "rooms.png": draw_rooms,
