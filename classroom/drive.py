@@ -2,7 +2,6 @@
 image; you steer with the arrow keys. Then a table compares you with a policy and planners."""
 
 import csv
-import queue
 import threading
 import time
 import webbrowser
@@ -74,12 +73,7 @@ class You(Feed):
 
     def listen(self, seconds):
         """Does what the page requests next, if anything in this time. Returns the held keys."""
-        try:
-            item = self.requests.get(timeout=seconds)
-        except queue.Empty:
-            item = None
-        else:
-            self.held = self.held if item else set()  # a page that crashed may have held keys
+        item = self.next_request(seconds)
         if item:
             request, answer = item
             if isinstance(request.get("keys"), list):

@@ -26,7 +26,8 @@ def main(argv=None):
     torch.set_num_threads(1)
     try:
         session = Session(options.room, options.driver)
-        server = Server(session, options.port, lambda: {"rooms": scenes.names(), "drivers": drivers()})
+        server = Server(session, options.port,
+                        lambda: {"rooms": scenes.names(), "drivers": drivers()})
     except (SceneError, RunError) as error:
         parser.error(error)
     try:

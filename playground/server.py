@@ -29,11 +29,11 @@ HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
 
 
 class Feed:
-    """The content of open pages, and their requests. A thread that drives calls `publish` and answers
-    `requests`; each page has a thread that calls `follow` or `ask`."""
+    """The content of open pages, and their requests. A thread that drives calls `publish` and
+    `next_request`; each page has threads that call `follow` and `ask`."""
 
     def __init__(self):
-        self.requests = queue.Queue()  # (request, queue for its answer); None: a page was opened
+        self._requests = queue.Queue()  # (request, queue for its answer)
         self.pages = []  # one object per open page, the oldest first
         self._texts = {}  # part of the page -> its newest content as JSON
         self._changed = threading.Condition()
@@ -53,7 +53,8 @@ class Feed:
             self.pages.append(page)
             del self.pages[:-MOST_PAGES]
             self._changed.notify_all()
-        self.requests.put(None)
+        # Wakes the thread that drives, and releases keys that a page held when it crashed.
+        self._requests.put(({"keys": []}, queue.SimpleQueue()))
         try:
             while True:
                 with self._changed:
@@ -75,8 +76,16 @@ class Feed:
     def ask(self, request):
         """Waits until a request (a dict) is answered. Returns what is wrong with it, or ''."""
         answer = queue.SimpleQueue()
-        self.requests.put((request, answer))
+        self._requests.put((request, answer))
         return answer.get()
+
+    def next_request(self, seconds):
+        """Waits for the next request, for a time or, if it is None, without limit. Returns it and
+        the queue for its answer, or None."""
+        try:
+            return self._requests.get(timeout=seconds)
+        except queue.Empty:
+            return None
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -126,7 +135,7 @@ class Handler(BaseHTTPRequestHandler):
         return self.path.removeprefix(root) if self.path.startswith(root) else None
 
     def _answer(self, status, body=b"refused", kind="text/plain"):
-        """Sends a whole answer. After an error the connection is closed, since its body is unread."""
+        """Sends a whole answer. After an error the connection is closed: its body is unread."""
         self._begin(status, {"Content-Type": kind, "Content-Length": str(len(body))}
                     | ({"Connection": "close"} if status >= 400 else {}))
         self.wfile.write(body)

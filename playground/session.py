@@ -4,7 +4,6 @@ One thread runs the session: it drives, and does what the pages request between 
 """
 
 import base64
-import queue
 import re
 import time
 from dataclasses import asdict, replace
@@ -28,7 +27,6 @@ ROBOT = np.array([0])  # the index of the only robot
 KEYS = {"ArrowUp": (1, 0), "ArrowLeft": (0, 1), "ArrowRight": (0, -1)}  # key -> action
 HOLD = 1.5  # [s] for which an episode's end is shown, at most
 SPEEDS = (0.25, 16)  # slowest and fastest, times real time
-NAMES = {"training_targets[0]": "the target at", "start (": "the robot at ("}  # in messages
 STILL = 0.05  # [s] a step that is later than this is not caught up
 
 
@@ -44,10 +42,13 @@ class Session(Feed):
         self._held = set()  # keys
         self._pressed = set()  # keys that were held since the last step
         self._hidden = ""
-        self._waiting = []  # names of drivers that will drive the same task
-        self._paths = []  # of the earlier episodes of this task
+        self._forget_paths()
         self._choose(driver, begins=False)
         self._enter(scenes.load(room))
+
+    def _forget_paths(self):
+        self._waiting = []  # names of drivers that will drive the same task
+        self._paths = []  # of the earlier episodes of this task
 
     # ------------------------------------------------------------------------------ the requests
 
@@ -56,8 +57,8 @@ class Session(Feed):
         TypeError, KeyError."""
         actions = {"run": self._run_or_pause, "step": self._single_step, "speed": self._set_speed,
                    "keys": self._hold, "hide": self._hide, "driver": self._choose,
-                   "again": self._repeat, "another": self._begin_another, "compare": self._compare,
-                   "start": self._begin_at_start,
+                   "again": lambda _: self._begin(self._task), "another": self._begin_another,
+                   "start": self._begin_at_start, "compare": self._compare,
                    "target": self._move_target, "robot": self._move_robot,
                    "boxes": self._change_boxes, "room": self._load, "file": self._read}
         for name, argument in request.items():
@@ -90,20 +91,14 @@ class Session(Feed):
         if begins:
             self._driver.reset(self._env, ROBOT)
 
-    def _repeat(self, _):
-        """Begins the same task again."""
-        self._begin(self._task)
-
     def _begin_another(self, _=None):
         """Begins a random task."""
-        self._paths = []
-        self._waiting = []
+        self._forget_paths()
         self._begin()
 
     def _begin_at_start(self, _):
         """Begins at the room's start, with the next one of its targets."""
-        self._paths = []
-        self._waiting = []
+        self._forget_paths()
         self._target = (self._target + 1) % len(self._scene.targets)
         self._begin((self._scene.targets[self._target], np.array(self._scene.start)))
 
@@ -113,54 +108,42 @@ class Session(Feed):
         scenes.check(names, "choose at least one driver to compare")
         for name in names:
             scenes.check(name in known, f"there is no driver {scenes.shown(name)}")
-        self._paths = []
+        self._forget_paths()
         self._waiting = list(names)
         self._runs = True
         self._next_episode()
 
     def _move_target(self, place):
-        x, y = place = scenes.numbers(place, "the target", 2)
-        scenes.check(is_reachable(self._scene, place),
-                     f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
+        check_target(self._scene, scenes.numbers(place, "the target", 2))
         self._leave_end()
         self._env.goals[0] = place
         self._moved()
 
     def _move_robot(self, pose):
-        x, y, _ = pose = scenes.numbers(pose, "the robot", 3)
-        here = f"the robot at ({x:.2f}, {y:.2f})"
-        scenes.check(self._scene.fits(pose), f"{here} is too close to a box: its radius is "
-                     f"{ROBOT_RADIUS} m")
-        scenes.check(is_reachable(self._scene, pose[:2]), f"no path leads to {here}")
+        check_robot(self._scene, scenes.numbers(pose, "the robot", 3))
         self._leave_end()
         self._put(pose)
         self._moved()
 
     def _change_boxes(self, boxes):
         """Changes the boxes around the robot. Start and targets that are still free remain."""
-        old = self._scene
+        boxes = scenes.each({"boxes": boxes}, "boxes", 1, scenes.MOST_BOXES, scenes.box_of, False)
         self._leave_end()
-        goal = self._env.goals[0].copy()
+        old = self._scene
         pose = self._env.world.poses[0]
-        here = {"start": pose.round(3).tolist(), "training_targets": [goal.round(3).tolist()],
-                "new_targets": [], "other_starts": [], "boxes": boxes}
-        for box in boxes:  # as `to_toml` does, so that a saved room is the same
-            box |= {key: round(box[key], 3) for key in ("x", "y", "length", "thickness", "height")}
-        try:
-            new = scenes.rebuild(asdict(old) | here)
-        except SceneError as error:
-            text = str(error)
-            for name, shown in NAMES.items():
-                text = text.replace(name, shown)
-            raise SceneError(text) from None
+        goal = tuple(self._env.goals[0].tolist())
+        new = replace(old, boxes=boxes, start=tuple(pose.tolist()))
+        scenes.check_width(new)
+        check_robot(new, pose)
+        check_target(new, goal)
 
         def free(places):
             return tuple(place for place in places if is_reachable(new, place[:2]))
 
-        starts = tuple(start for start in free((old.start, *old.other_starts)) if new.fits(start))
-        starts = starts or (tuple(pose.tolist()),)
-        self._scene = replace(new, start=starts[0], other_starts=starts[1:],
-                              training_targets=free(old.training_targets) or new.training_targets,
+        starts = [start for start in free((old.start, *old.other_starts)) if new.fits(start)]
+        first, *others = starts or [new.start]
+        self._scene = replace(new, start=first, other_starts=tuple(others),
+                              training_targets=free(old.training_targets) or (goal,),
                               new_targets=free(old.new_targets))
         change_room(self._env, 0, self._scene)
         self._put(pose)
@@ -169,8 +152,8 @@ class Session(Feed):
 
     def _load(self, name):
         """Enters a room by its name. A page cannot ask for a file of this machine."""
-        if name not in scenes.names() and not re.fullmatch(r"random:\d{1,9}", str(name)):
-            raise SceneError(f"there is no room {scenes.shown(name)}")
+        known = name in scenes.names() or re.fullmatch(r"random:\d{1,9}", str(name))
+        scenes.check(known, f"there is no room {scenes.shown(name)}")
         self._enter(scenes.load(name))
 
     def _read(self, file):
@@ -240,8 +223,7 @@ class Session(Feed):
         self._goal = self._env.goals[0].copy()
         self._task = self._goal.copy(), self._pose.copy()
         self._path = [self._pose[:2].round(3).tolist()]
-        self._paths = []
-        self._waiting = []
+        self._forget_paths()
         if isinstance(self._driver, Planned):
             self._driver.reset(self._env, ROBOT)  # it plans again
         self._look()
@@ -288,8 +270,10 @@ class Session(Feed):
                  "steps": self._steps, "pose": self._pose.tolist(), "goal": self._goal.tolist(),
                  "linear": v, "angular": w, "distance": distance, "bearing": bearing,
                  "reward": self._reward, "return": self._return,
-                 "image": encoded(self._seen["image"][0]),
-                 "plan": [list(point) for point in self._plan()]}
+                 "image": encoded(self._seen["image"][0])}
+        if isinstance(self._driver, Planned):  # the points that it still wants to reach
+            path = getattr(self._driver.planners[0], "path", [])
+            state |= {"plan": [list(point) for point in path]}
         activations = getattr(self._driver, "activations", None)
         if activations and self._steps:
             memory = np.round(127 * activations["memory"][0]).astype(np.int8)  # (layers, HIDDEN)
@@ -300,11 +284,6 @@ class Session(Feed):
         compared = self._paths if self._waiting or self._paths[1:] else []
         self.publish(state=state, paths=compared, curves=curves)
 
-    def _plan(self):
-        """Returns the points that a planner still wants to reach."""
-        return getattr(self._driver.planners[0], "path", []) if isinstance(self._driver, Planned) \
-            else []
-
     # --------------------------------------------------------------------------------- the thread
 
     def run(self):
@@ -312,20 +291,16 @@ class Session(Feed):
         due = time.monotonic()  # when the next step begins
         while True:
             drives = self._runs and self.pages
-            try:
-                wait = max(due - time.monotonic(), 0) if drives else None
-                item = self.requests.get(timeout=wait)
-            except queue.Empty:
+            item = self.next_request(max(due - time.monotonic(), 0) if drives else None)
+            if item:
+                request, answer = item
+                self._message = ""  # of an earlier request
+                answer.put(self._safely(self.answer, request))
+            else:
                 self._safely(self._step)
                 period = CONTROL_PERIOD / self._speed
                 due = max(due, time.monotonic() - STILL)
                 due += min(HOLD, 4 * period) if self._outcome else period
-            else:
-                self._held = self._held if item else set()  # a page that crashed may have held keys
-                if item:
-                    request, answer = item
-                    self._message = ""  # of an earlier request
-                    answer.put(self._safely(self.answer, request))
 
     def _safely(self, action, *arguments):
         """Does something, and publishes the state. Returns what is wrong with it, or ''."""
@@ -344,6 +319,20 @@ class Session(Feed):
             self._choose(YOU)
             self._publish_state()
         return self._message
+
+
+def check_robot(scene, pose):
+    """Raises SceneError if the robot cannot be at a pose (x, y, ...)."""
+    here = f"the robot at ({pose[0]:.2f}, {pose[1]:.2f})"
+    scenes.check(scene.fits(pose), f"{here} is outside the room, or closer to a box than its "
+                 f"radius, {ROBOT_RADIUS} m")
+    scenes.check(is_reachable(scene, pose[:2]), f"no path leads to {here}")
+
+
+def check_target(scene, place):
+    """Raises SceneError if a robot cannot arrive at a place (x, y)."""
+    x, y = place
+    scenes.check(is_reachable(scene, place), f"the target at ({x:.2f}, {y:.2f}) cannot be reached")
 
 
 def held_keys(keys):

@@ -185,9 +185,11 @@ def test_a_box_moves_is_refused_on_the_robot_and_can_be_undone(page, served):
     session, _ = served
     k, box = next((k, box) for k, box in enumerate(ENV1.boxes) if box.material == "wood")
     page.drag((box.x, box.y), (-3.2, -2.2))
-    assert np.allclose((session._scene.boxes[k].x, session._scene.boxes[k].y), (-3.2, -2.2), atol=.05)
+    moved = session._scene.boxes[k]
+    assert np.allclose((moved.x, moved.y), (-3.2, -2.2), atol=0.05)
     page.drag((-3.2, -2.2), (-2.6, -2.6))
-    assert "the robot at (-2.6, -2.6) is nearer to a box" in page.text_content("#message")
+    assert "the robot at (-2.60, -2.60) is outside the room, or closer to a box" in \
+        page.text_content("#message")
     assert np.hypot(session._scene.boxes[k].x + 2.6, session._scene.boxes[k].y + 2.6) > 0.3
     page.click("#undo")
     page.click("#undo")
@@ -523,7 +525,8 @@ def test_bad_requests_get_one_sentence(served):
                     {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": [{}]}, {"driver": "x/y"},
                     {"driver": []}, {"hide": "x"}, {"nothing": 1}, {"speed": "fast"}, {"file": 3},
                     {"compare": 3}, {"compare": []}, {"compare": ["x"]}, {"keys": 3}, {"speed": 99},
-                    {"file": {"name": "..toml", "text": scenes.to_toml(ENV1)}}, {"target": [float("nan"), 0]}):
+                    {"file": {"name": "..toml", "text": scenes.to_toml(ENV1)}},
+                    {"target": [float("nan"), 0]}):
         message = session.ask(request)
         assert message and "\n" not in message, request
     assert session.ask({"another": True}) == ""
