@@ -125,9 +125,11 @@ class Session(Feed):
         self._put(pose)
         self._moved()
 
-    def _change_boxes(self, boxes):
-        """Changes the boxes around the robot. Start and targets that are still free remain."""
-        boxes = scenes.each({"boxes": boxes}, "boxes", 1, scenes.MOST_BOXES, scenes.box_of, False)
+    def _change_boxes(self, change):
+        """Changes the boxes around the robot. Start and targets that are still free remain. change:
+        `boxes`, and the name of the `room`, which another page may have changed."""
+        scenes.check(change["room"] == self._scene.name, "another page has changed the room")
+        boxes = scenes.each(change, "boxes", 1, scenes.MOST_BOXES, scenes.box_of, False)
         self._leave_end()
         old = self._scene
         pose = self._env.world.poses[0]

@@ -520,9 +520,10 @@ def test_bad_requests_get_one_sentence(served):
     session, _ = served
     session.ask({"room": "env1"})
     outside = [asdict(box) | {"x": box.x - 9.0} for box in ENV1.boxes]
-    assert "is outside the room" in session.ask({"boxes": outside})
+    assert "is outside the room" in session.ask({"boxes": {"room": "env1", "boxes": outside}})
+    assert "another page" in session.ask({"boxes": {"room": "env2", "boxes": outside}})
     for request in ({"room": "../x"}, {"room": "/etc/passwd"}, {"room": 3}, {"target": [1]},
-                    {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": [{}]}, {"driver": "x/y"},
+                    {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": {"room": "env1", "boxes": [{}]}}, {"driver": "x/y"},
                     {"driver": []}, {"hide": "x"}, {"nothing": 1}, {"speed": "fast"}, {"file": 3},
                     {"compare": 3}, {"compare": []}, {"compare": ["x"]}, {"keys": 3}, {"speed": 99},
                     {"file": {"name": "..toml", "text": scenes.to_toml(ENV1)}},
