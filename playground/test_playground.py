@@ -221,6 +221,32 @@ def test_a_wall_is_drawn_turned_and_deleted(page, served):
     page.until(f"boxes.length === {len(ENV1.boxes) + 1}")
 
 
+def test_same_task_random_task_and_speed(page, served):
+    session, _ = served
+    page.click("#step")
+    task = session._goal.tolist(), session._task[1].tolist()
+    page.click("#again")
+    page.until("state.steps === 0 && !busy")
+    assert (session._goal.tolist(), session._pose.tolist()) == task
+    page.click("#another")
+    page.until("!busy")
+    assert session._goal.tolist() != task[0]
+    page.select_option("#speed", "8")
+    page.until("state.speed === 8")
+
+
+def test_a_box_gets_another_size_and_material(page, served):
+    k = next(k for k, box in enumerate(ENV1.boxes) if box.material == "wood")
+    page.select_option("#thing", str(k))
+    page.fill("#length", "0.3")
+    page.fill("#thickness", "0.25")
+    page.select_option("#material", "brick")
+    page.click("#apply")
+    page.until("!busy")
+    box = served[0]._scene.boxes[k]
+    assert (box.length, box.thickness, box.material) == (0.3, 0.25, "brick")
+
+
 def test_another_room_has_nothing_to_undo(page):
     page.click("#draw")
     page.drag((-2.0, -3.2), (-1.4, -3.2))
