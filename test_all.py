@@ -804,7 +804,8 @@ def test_the_rule_stops_at_once_unless_the_budget_is_fixed(fixed_budget, monkeyp
 
 def test_the_standard_deviation_stays_between_its_limits():
     net = network()
-    for lowest, highest, expected in ((0.5, 2, 1), (0.25, 0.5, 0.5), (0.1, 0.8, 0.5), (0.6, 1, 0.6)):
+    limits = ((0.5, 2, 1), (0.25, 0.5, 0.5), (0.1, 0.8, 0.5), (0.6, 1, 0.6))
+    for lowest, highest, expected in limits:
         net.limit_std(lowest, highest)
         assert torch.allclose(net.log_std.exp(), torch.tensor(model.INITIAL_STD) * expected)
 

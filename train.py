@@ -186,7 +186,7 @@ class Training:
 
 
 def train(training):
-    """Trains by Algorithm 1, in our words:
+    """Trains by Algorithm 1, in our words. R robots drive in parallel, one step at a time.
 
      1  begin with random weights and an empty buffer
      2  repeat:
@@ -199,8 +199,6 @@ def train(training):
      9      else:
     10          drive until the episode ends and record only whether the robot arrived
     11          if over a fraction r of the last 100 such episodes succeeded: stop
-
-    Here R robots drive in parallel, one step at a time.
     """
     begin = time.perf_counter() - training.seconds
     config = training.config

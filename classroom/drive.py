@@ -1,5 +1,6 @@
-"""Drive the robot yourself: `python -m classroom.drive --env env1`. A page in the browser shows its
-image; you steer with the arrow keys. Then a table compares you with a policy and planners."""
+"""Drive the robot yourself: `python -m classroom.drive --env env1`. A page in the browser shows the
+camera image; you steer with the arrow keys. Then a table compares you with a policy and planners.
+"""
 
 import csv
 import threading

@@ -132,7 +132,8 @@ def test_an_error_names_drives_that_cannot_be_pooled(tmp_path, capsys, files, wo
     assert end.value.code == 2 and words in printed and printed.count("\n") == 1
 
 
-@pytest.mark.parametrize("fails, words", [("drive_yourself", "not saved"), ("policy_for", "is saved")])
+@pytest.mark.parametrize("fails, words", [
+    ("drive_yourself", "not saved"), ("policy_for", "is saved")])
 def test_ctrl_c_says_whether_the_drive_is_saved(fails, words, tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -60,12 +60,14 @@ class Feed:
                 with self._changed:
                     self._changed.wait_for(
                         lambda: sent != self._texts or page not in self.pages, ALIVE)
-                    if page not in self.pages:
-                        yield f"event: end\ndata: {json.dumps(TOO_MANY)}\n\n"
-                        return
+                    is_open = page in self.pages
                     new = {name: text for name, text in self._texts.items()
                            if sent.get(name) != text}
                     sent = dict(self._texts)
+                # Not while holding the lock: a page that does not read would stop all others.
+                if not is_open:
+                    yield f"event: end\ndata: {json.dumps(TOO_MANY)}\n\n"
+                    return
                 yield "".join(f"event: {name}\ndata: {text}\n\n"
                               for name, text in new.items()) or ": alive\n\n"
         finally:

@@ -21,7 +21,7 @@ from evaluation.replay import make_page
 from playground import choices
 from playground.__main__ import main
 from playground.choices import HERE, drivers, success_rates
-from playground.server import MOST_PAGES, Server
+from playground.server import MOST_PAGES, Feed, Server
 from playground.session import Session
 from support.weights import load_model
 
@@ -347,6 +347,19 @@ def test_too_many_pages_end_the_oldest(browser, served):
     context.close()
 
 
+def test_a_page_that_does_not_read_its_end_stops_nobody():
+    feed = Feed()
+    feed.publish(state=1)
+    pages = [feed.follow() for _ in range(MOST_PAGES + 1)]
+    for page in pages:
+        next(page)
+    assert next(pages[0]).startswith("event: end")  # its thread may now wait for the browser
+    other = threading.Thread(target=feed.publish, kwargs={"state": 2}, daemon=True)
+    other.start()
+    other.join(5)
+    assert not other.is_alive()
+
+
 def test_with_reduced_motion_the_robot_does_not_glide(browser, served):
     page = Page(browser, served[1], reduced_motion="reduce")
     page.request(driver="oracle", speed=0.25)
@@ -550,7 +563,8 @@ def test_bad_requests_get_one_sentence(served):
     assert "is outside the room" in session.ask({"boxes": {"room": "env1", "boxes": outside}})
     assert "another page" in session.ask({"boxes": {"room": "env2", "boxes": outside}})
     for request in ({"room": "../x"}, {"room": "/etc/passwd"}, {"room": 3}, {"target": [1]},
-                    {"robot": [0, 0, None]}, {"boxes": 3}, {"boxes": {"room": "env1", "boxes": [{}]}}, {"driver": "x/y"},
+                    {"robot": [0, 0, None]}, {"boxes": 3},
+                    {"boxes": {"room": "env1", "boxes": [{}]}}, {"driver": "x/y"},
                     {"driver": []}, {"hide": "x"}, {"nothing": 1}, {"speed": "fast"}, {"file": 3},
                     {"compare": 3}, {"compare": []}, {"compare": ["x"]}, {"keys": 3}, {"speed": 99},
                     {"file": {"name": "..toml", "text": scenes.to_toml(ENV1)}},

@@ -148,7 +148,8 @@ def test_a_room_written_as_toml_is_the_same_to_a_millimetre(name):
     assert [box.material for box in copy.boxes] == [box.material for box in room.boxes]
     assert np.allclose(copy.targets, room.targets, atol=1e-3)
     assert len(copy.training_targets) == len(room.training_targets)
-    assert np.allclose((copy.start, *copy.other_starts), (room.start, *room.other_starts), atol=1e-3)
+    assert np.allclose((copy.start, *copy.other_starts), (room.start, *room.other_starts),
+                       atol=1e-3)
     for name, value in vars(room.reality).items() if room.reality else ():
         assert getattr(copy.reality, name) == (value if name == "appearance" else
                                                pytest.approx(value))
