@@ -2,12 +2,12 @@
 its exact pose, which the learner never does; the docstrings list what else it knows. A pose is
 (x [m], y [m], theta [rad]), a point (x, y) [m], a command (v [m/s], w [rad/s])."""
 
+import functools
 import heapq
 import itertools
 import math
 from collections import defaultdict
 
-import networkx
 import numpy as np
 import pymunk
 
@@ -20,6 +20,7 @@ RANGE = 3.0  # [m] range of the sensors
 STRIDE = MAX_LINEAR_VELOCITY * CONTROL_PERIOD  # [m] longest step
 GAP = 0.001  # [m] distance of a shortest path from the walls
 MARGIN = 0.02  # [m] distance from walls of planners that sense them
+TAUT = 0.05  # sine of the largest angle by which a leg may cut a corner
 INSIDE = 1 - 1e-6  # factor of the arrival distance: a path ends inside the circle, not on it
 AROUND = [(math.cos(turn), math.sin(turn)) for turn in 2 * np.pi * np.arange(12) / 12]
 
@@ -39,42 +40,64 @@ def turn_and_go(pose, point):
 
 
 class Roadmap:
-    """A graph of the points (n, 2) [m] where the disc fits, joined if it fits between them."""
+    """A graph of the points (n, 2) [m] where the disc fits, joined if it fits between them. Legs
+    between points are checked when a search needs them, and kept."""
 
-    def __init__(self, scene, points):
+    def __init__(self, scene, points, sides=None):
+        """sides: (n, 2, 2) unit vectors along the two faces that meet at each point. If given, legs
+        are left out that no shortest path has: those that do not pass the corner at both ends."""
         self.space = pymunk.Space()  # walls grown by the radius: the robot is a point
         for box in scene.boxes:
             self.space.add(pymunk.Poly(self.space.static_body, box.corners.tolist(),
                                        radius=ROBOT_RADIUS))
         fits = scene.clearance(points) > ROBOT_RADIUS
-        self.graph = networkx.Graph()  # nodes are points (x, y), weights are lengths [m]
-        self.graph.add_nodes_from(map(tuple, points[fits].tolist()))
-        for a, b in itertools.combinations(self.graph, 2):
-            if self.free(a, b):
-                self.graph.add_edge(a, b, weight=math.dist(a, b))
+        self.points = points[fits]
+        self.sides = None if sides is None else sides[fits]
+        self.number = {point: k for k, point in enumerate(map(tuple, self.points.tolist()))}
+        self.legs = functools.cache(self._legs)
 
     def free(self, a, b):
         """Returns whether the disc fits along the line from a to b. It must fit at a."""
         return self.space.segment_query_first(a, b, 0, pymunk.ShapeFilter()) is None
 
+    def _legs(self, point):
+        """Returns the points to which free lines lead from a point where the disc fits."""
+        useful = np.ones(len(self.points), bool)
+        if self.sides is not None:
+            along = self.points - point
+            along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+            useful = passes(along, self.sides)
+            if point in self.number:
+                useful &= passes(along, self.sides[self.number[point]])
+        return [other for other in map(tuple, self.points[useful].tolist())
+                if other != point and self.free(point, other)]
+
     def path(self, start, goal, within=ARRIVAL_DISTANCE):
         """Returns the points (x, y) after the start of the shortest path that ends `within` [m] of
-        the goal, and its length [m]; None and inf if there is no path."""
-        start = tuple(start)
-        graph = self.graph.copy()
-        graph.add_node(start)
-        for point in self.graph:
-            if self.free(start, point):
-                graph.add_edge(start, point, weight=math.dist(start, point))
-        ends = {point: self._last_leg(point, goal, within) for point in graph}
-        for point, end in ends.items():
+        the goal, and its length [m]; None and inf if there is no path. Searches by A*."""
+        queue = [(0.0, 0.0, tuple(start), None, False)]  # the first value is a bound: see below
+        previous = {}  # point -> the point before it
+        while queue:
+            _, length, point, before, is_end = heapq.heappop(queue)
+            if is_end:
+                points = [point]
+                while before:
+                    points.append(before)
+                    before = previous[before]
+                return points[-2::-1] or points, length
+            if point in previous:
+                continue
+            previous[point] = before
+            end = self._last_leg(point, goal, within)
             if end is not None:
-                graph.add_edge(point, "goal", weight=math.dist(point, end))
-        try:
-            length, nodes = networkx.single_source_dijkstra(graph, start, "goal")
-        except networkx.NetworkXNoPath:
-            return None, math.inf
-        return [*nodes[1:-1], ends[nodes[-2]]], length
+                whole = length + math.dist(point, end)
+                heapq.heappush(queue, (whole, whole, end, point, True))
+            for other in self.legs(point):
+                if other not in previous:
+                    so_far = length + math.dist(point, other)
+                    bound = so_far + max(math.dist(other, goal) - within, 0)  # of any path by there
+                    heapq.heappush(queue, (bound, so_far, other, point, False))
+        return None, math.inf
 
     def _last_leg(self, point, goal, within):
         """Returns the nearest point in the goal's circle to which a free line leads, or None."""
@@ -87,17 +110,29 @@ class Roadmap:
         return next((tuple(end) for end in ends if self.free(point, end)), None)
 
 
+def passes(along, sides):
+    """Returns which lines in directions `along` (n, 2) have both sides (..., 2, 2) of a corner on
+    one side of them, (n,) bool. A small angle is allowed, because the corners are rounded."""
+    across = along[:, None, 0] * sides[..., 1] - along[:, None, 1] * sides[..., 0]  # sines (n, 2)
+    return (across.min(-1) > -TAUT) | (across.max(-1) < TAUT)
+
+
 def visibility_graph(scene):
     """Returns the Roadmap of shortest paths, which bend only at corners (Lozano-Perez and Wesley
     1979). Around a corner the disc's path is an arc; four points make it at most 1.3 % longer."""
     distance = (ROBOT_RADIUS + GAP) / np.cos(np.pi / 16)  # [m] from the corner to the points
     quarter = (np.arange(4) + 0.5) * np.pi / 8
     points = []
+    sides = []
     for box in scene.boxes:
-        for k, corner in enumerate(box.corners):
-            along = box.yaw + k * np.pi / 2 + quarter  # between the normals of the corner's faces
-            points.append(corner + distance * np.stack([np.cos(along), np.sin(along)], -1))
-    return Roadmap(scene, np.concatenate(points))
+        along = box.yaw + np.arange(4)[:, None] * np.pi / 2 + quarter  # between two faces' normals
+        around = distance * np.stack([np.cos(along), np.sin(along)], -1)  # (4 corners, 4, 2)
+        outline = (box.corners[:, None] + around).reshape(16, 2)
+        edges = np.roll(outline, -1, axis=0) - outline
+        edges /= np.hypot(*edges.T)[:, None]
+        points.append(outline)
+        sides.append(np.stack([edges, -np.roll(edges, 1, axis=0)], 1))
+    return Roadmap(scene, np.concatenate(points), np.concatenate(sides))
 
 
 class Planner:
