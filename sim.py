@@ -116,11 +116,9 @@ class Scene:
 
     @cached_property
     def reachable(self):
-        """Centres (P, 2) [m] of the grid cells reachable by the robot from its start, sorted by x.
-
-        Found by a flood fill: a passage less than about 1.5 cells wider than the robot may count
-        as closed. Raises SceneError if the flood leaves the room.
-        """
+        """Centres (P, 2) [m] of the grid cells reachable by the robot from its start, sorted by x,
+        found by a flood fill. A passage less than about 1.5 cells wider than the robot may count as
+        closed. Raises SceneError if the flood leaves the room."""
         x, y = [np.arange(low - CELL, high + 2 * CELL, CELL) for low, high in zip(*self.bounds)]
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
         free = np.full(grid.shape[:2], True)
@@ -129,8 +127,11 @@ class Scene:
             near = np.ix_(np.abs(x - box.x) < half[0], np.abs(y - box.y) < half[1])
             free[near] &= replace(self, boxes=(box,)).clearance(grid[near]) > ROBOT_RADIUS
         flooded = flood(free, np.abs(grid - self.start[:2]).max(-1) <= CELL)
-        if flooded[[0, -1]].any() or flooded[:, [0, -1]].any():
-            raise SceneError("the room is not closed: the robot can drive out of it")
+        exits = np.concatenate([grid[[0, -1]][flooded[[0, -1]]],
+                                grid[:, [0, -1]][flooded[:, [0, -1]]]])
+        if len(exits):
+            raise SceneError("the room is not closed: the robot can drive out of it at "
+                             f"({exits[0, 0]:.2f}, {exits[0, 1]:.2f})")
         return grid[flooded]
 
     def own_start(self, rng):

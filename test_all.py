@@ -707,8 +707,8 @@ def test_training_writes_a_complete_run_folder_and_overwrites_none(runs):
     assert sorted(run.name for run in folder.iterdir()) == ["env1-seed0", "env1-seed0-2"]
     for run, done in zip(sorted(folder.iterdir()), outputs):
         assert sorted(file.name for file in run.iterdir()) == [
-            "checkpoint.pt", "config.json", "curves.png", "env1.toml", "episodes.csv",
-            "evaluation.json", "model.safetensors", "summary.json", "updates.csv"]
+            "checkpoint.pt", "config.json", "curves.png", "episodes.csv", "evaluation.json",
+            "model.safetensors", "room.json", "summary.json", "updates.csv"]
         summary = json.loads((run / "summary.json").read_text())
         assert json.loads(done.stdout) == summary and str(run.name) in done.stderr
         assert list(summary) == ["env", "seed", "steps", "episodes", "seconds", "stopped_by_rule",

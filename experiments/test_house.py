@@ -89,7 +89,7 @@ def test_a_part_loads_without_the_libraries_that_it_does_not_need(modules, kept_
 PROGRAM = re.compile(r"(?:python3?|py|torchrun) (?:[^`]*? )?(?:-m ([\w.]+)|([\w/]+\.py))\b")
 FILE_NAME = re.compile(r"[\w./-]+\.(?:py|toml|csv|json|png|gif|txt|md|pt|safetensors|cff)")
 MADE = re.compile(  # files that commands write into a run folder or the working folder
-    r"(config|summary|evaluation|episodes|updates|model|checkpoint|curves|trajectories|episode"
+    r"(config|summary|evaluation|episodes|updates|model|room|checkpoint|curves|trajectories|episode"
     r"|floor|demo|drives|benchmark|paths)(-[\w-]+)?\.(json|csv|pt|safetensors|png|gif)")
 YOURS = {"my_room.toml"}
 OUTSIDE = {"pytest", "pip", "venv"}  # programs of other projects

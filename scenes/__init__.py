@@ -1,5 +1,6 @@
-"""Loads rooms: a TOML file such as `scenes/env1.toml` (docs/rooms.md) becomes a `sim.Scene`. Files
-are in metres and degrees, Scenes in metres and radians, both in world coordinates."""
+"""Loads rooms: a TOML file such as `scenes/env1.toml`, a Gazebo world or a map of ROS becomes a
+`sim.Scene` (docs/rooms.md). TOML files are in metres and degrees, Scenes in metres and radians, all
+in world coordinates."""
 
 import json
 import math
@@ -11,15 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from scenes import generate
+from scenes.places import complete, remarks
 from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, SceneError
 
 MATERIALS = ("wall", "brick", "wood")  # the camera has a texture for each
 SCENE_FOLDER = Path(__file__).parent
-WORLDS = (".world", ".sdf")  # suffixes of Gazebo worlds
+WORLDS = (".world", ".sdf")  # suffixes of Gazebo worlds and models
+MAPS = (".yaml", ".yml")  # suffixes of maps of ROS
 # Limits, our choice: in a huge room everything takes minutes.
-MOST_BOXES = 128
+MOST_BOXES = 512
 MOST_TARGETS = 1024
-WIDEST = 30  # [m]
+WIDEST = 60  # [m]
 LARGEST = 10 ** 6  # [m] or [degrees]
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 1
@@ -31,40 +34,68 @@ def names():
     return sorted(path.stem for path in SCENE_FOLDER.glob("*.toml"))
 
 
-def find(name):
-    """Returns the Path of a room's file, given a name or path; None for random rooms."""
-    if name == "random" or name.startswith(generate.PREFIX):
-        return None
-    return SCENE_FOLDER / f"{name}.toml" if name in names() else Path(name)
-
-
 def load(name_or_path):
-    """Returns the Scene for a name in `scenes/`, for `random:SEED`, or for the path of a scene file
-    or a Gazebo world. Raises SceneError with one sentence that names the file and the item."""
+    """Returns the Scene for a name in `scenes/`, for `random:SEED`, or for a file: TOML, a Gazebo
+    world or a map of ROS. Worlds and maps have no start: `FILE@x,y,degrees` chooses one. Raises
+    SceneError with one sentence that names the file and the item."""
     name = str(name_or_path)
-    path = find(name)
-    if path is None:
+    if name.startswith(generate.PREFIX):
         return generate.room(generate.seed_of(name))
+    path = SCENE_FOLDER / f"{name}.toml" if name in names() else Path(name)
+    start = ""
+    if "@" in path.name and not path.exists():
+        file, start = name.rsplit("@", 1)
+        path = Path(file)
     check(path.suffix or os.path.isfile(path), f"unknown scene {shown(name)}: it must be one of "
-          f"{', '.join(names())}, random:SEED, or the path of a scene file")
+          f"{', '.join(names())}, random:SEED, or the path of a room's file")
     try:
         text = path.read_text("utf-8-sig")  # some editors write a byte order mark first
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise SceneError(f"scene file {name!r} cannot be used: {reason}") from None
-    return read(text, path)
+        raise SceneError(f"room file {str(path)!r} cannot be used: {reason}") from None
+    return read(text, path, path.parent, start)
 
 
-def read(text, path):
-    """Returns the Scene described by the text of a scene file or, if the path ends like one, of a
-    Gazebo world. The path is only a name here. Raises SceneError."""
+def read(text, path, folder=None, start=""):
+    """Returns the Scene described by the text of a room's file. The format is that of the path's
+    suffix; otherwise the path is only a name. folder: that of the path, in which other files are
+    looked up; None if there are none. start: `x,y,degrees`, or "". Raises SceneError."""
+    suffix = path.suffix.lower()
     try:
-        if path.suffix.lower() in WORLDS:
-            from scenes.world_file import parse_world
-            return parse_world(text, path.stem)
-        return parse(tomllib.loads(text), path.stem)
-    except (ValueError, RecursionError) as error:  # SceneErrors are ValueErrors
-        raise SceneError(f"scene file {str(path)!r} cannot be used: {error}") from None
+        pose = start_of(start)
+        if suffix in (*WORLDS, *MAPS):
+            if suffix in WORLDS:
+                from scenes.world_file import boxes_of
+            else:
+                from scenes.map_file import boxes_of
+            boxes, pose = boxes_of(text, folder, pose)
+            check_size(generate.as_scene(boxes))
+            scene = complete(path.stem, boxes, pose)
+            check_size(scene)  # a fence counts
+            remarks.warning("the targets of room %r are chosen: its file has none", scene.name)
+            return scene
+        check(suffix == ".toml", f"its name must end in .toml, {', '.join(WORLDS)} (Gazebo) or "
+              f"{', '.join(MAPS)} (a map of ROS)")
+        check(not start, "it has a start of its own, so '@' cannot choose one")
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise SceneError(f"it is not valid TOML: {error}") from None
+        return parse(table, path.stem)
+    except (ValueError, RecursionError, OSError) as error:  # SceneErrors are ValueErrors
+        raise SceneError(f"room file {str(path)!r} cannot be used: {error}") from None
+
+
+def start_of(text):
+    """Returns the pose (x [m], y [m], heading [rad]) in a text `x,y,degrees`; None if empty."""
+    if not text:
+        return None
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError:
+        values = text
+    x, y, degrees = numbers(values, "the start after '@'", 3)
+    return x, y, math.radians(degrees)
 
 
 def to_toml(scene):
@@ -123,7 +154,7 @@ def parse(table, name, in_degrees=True):
         new_targets=each(table, "new_targets", 0, MOST_TARGETS, numbers, 2),
         other_starts=each(table, "other_starts", 0, MOST_TARGETS, pose_of, in_degrees),
         reality=reality)
-    check_width(scene)
+    check_size(scene)
     for start in (scene.start, *scene.other_starts):
         check(scene.clearance(start[:2]) > ROBOT_RADIUS,
               f"start {start[:2]} is nearer to a box than the robot's radius, {ROBOT_RADIUS} m")
@@ -194,11 +225,13 @@ def check_keys(table, keys, what, optional=()):
         check(key in known, f"{what} has an unknown key {shown(key)}; known: {', '.join(known)}")
 
 
-def check_width(scene):
-    """Checks the extent of all boxes together."""
+def check_size(scene):
+    """Checks the number of boxes and the extent of all boxes together."""
+    check(len(scene.boxes) <= MOST_BOXES,
+          f"it has {len(scene.boxes)} boxes; it must have at most {MOST_BOXES}")
     widest = np.ptp(scene.bounds, axis=0).max()
     check(widest <= WIDEST,
-          f"the boxes extend over {widest:.1f} m; it must be at most {WIDEST} m")
+          f"the boxes extend over {widest:.2f} m; it must be at most {WIDEST} m")
 
 
 def distance_to_nearest(points, others):

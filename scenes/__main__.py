@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from render import Camera
-from scenes import WORLDS, load
+from scenes import load
 from scenes.generate import share_blocked
 from sim import CELL, SceneError
 from support.cli import option, parse
@@ -51,8 +51,6 @@ def main(argv=None):
     except (SceneError, OSError) as error:
         parser.error(error)
     print(f"{scene.name}.png", facts(scene), sep="\n")
-    if options.scene.lower().endswith(WORLDS):
-        print("start and targets were chosen automatically, because the file has none")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import reprlib
 
 import numpy as np
 
-from scenes.places import GRID, complete
+from scenes.places import GRID, complete, walls
 from sim import FAR_ENOUGH, ROBOT_RADIUS, Box, Scene, SceneError, flood
 
 PREFIX = "random:"
@@ -95,16 +95,6 @@ def furnished(rng, wanted, length, width):
         if share >= wanted or len(boxes) == 4 + MOST_OBSTACLES:
             break
     return boxes, blocked[counts].mean()
-
-
-def walls(length, width):
-    """Returns the four outer walls of a room around the origin, with the released dimensions."""
-    x = length / 2 - 0.075
-    y = width / 2 - 0.075
-    return [Box("wall", -x, 0.0, -math.pi / 2, width, 0.15, 2.5),
-            Box("wall", 0.0, -y, 0.0, length, 0.15, 2.5),
-            Box("wall", x, 0.0, math.pi / 2, width, 0.15, 2.5),
-            Box("wall", 0.0, y, math.pi, length, 0.15, 2.5)]
 
 
 def obstacle(rng, is_brick, boxes, length, width, right_angles):

@@ -1,15 +1,18 @@
 """Tests of how a start and targets are chosen."""
 
 import math
+import re
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import scenes
+from evaluation.planners import visibility_graph
 from scenes.generate import room as random_room
-from scenes.places import APART, GRID, MARGIN, complete
-from sim import ROBOT_RADIUS, Box, SceneError
+from scenes.places import APART, GRID, MARGIN, complete, parts
+from sim import ROBOT_RADIUS, Box, SceneError, flood
 
 
 def outline(*corners, thickness=0.1):
@@ -88,8 +91,48 @@ def test_a_small_room_has_fewer_targets_but_at_least_one_training_target(half, t
     assert (len(scene.training_targets), len(scene.new_targets)) == (training, new)
 
 
+def test_a_room_with_an_opening_gets_a_fence_and_the_opening_is_named(caplog):
+    """The right wall of the room has an opening of 0.8 m, too narrow to contain all targets."""
+    parts = [replace(wall, y=y, length=1.6) for wall in [square(2.0)[1]] for y in (-1.25, 1.25)]
+    scene = complete("maze", [square(2.0)[0], *square(2.0)[2:], *parts])
+    assert len(scene.boxes) == 9 and (np.abs(scene.targets) < 2.1).all()
+    x, y = re.search(r"opening at \((.*), (.*)\)", caplog.text).groups()
+    assert abs(float(x) - 2.0) < 0.2 and abs(float(y)) < 0.4
+    caplog.clear()
+    assert len(complete("square", square(2.0)).boxes) == 4 and not caplog.text
+
+
+def test_a_ring_track_is_used_and_not_its_hollow_inside_nor_the_floor_outside():
+    ring = [*square(4.0), *square(2.0)]
+    assert (np.abs(complete("ring", ring).targets).max(1) > 2.1).all()
+    small = complete("L", outline((0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)))
+    assert len(small.boxes) == 6 and (small.targets.min(1) < 1).all()
+
+
+def test_parts_are_those_of_a_flood_fill():
+    rng = np.random.default_rng(0)
+    for density in (0.3, 0.5, 0.6, 0.8):
+        free = np.pad(rng.random((30, 40)) < density, 1)
+        part = parts(free)
+        for cell in np.argwhere(free)[::25]:
+            source = np.zeros_like(free)
+            source[tuple(cell)] = True
+            assert (flood(free, source) == (part == part[tuple(cell)])).all()
+
+
+def test_the_largest_rooms_are_completed_in_seconds():
+    """A check of the order of magnitude, in CPU time: it took minutes once."""
+    rng = np.random.default_rng(0)
+    boxes = [Box("wall", *rng.uniform(-29, 29, 2).tolist(), 0.3, 3.0, 0.3, 1.0) for _ in range(508)]
+    begin = time.process_time()
+    scene = complete("large", [*square(29.5), *boxes])
+    graph = visibility_graph(scene)
+    assert graph.path(scene.start[:2], scene.targets[0])[1] > 10
+    assert time.process_time() - begin < 30
+
+
 @pytest.mark.parametrize("boxes, words", [
-    (square(2.0)[:3], "the boxes do not enclose a place that the robot fits into"),
+    (square(0.15), "the boxes do not enclose a place that the robot fits into"),
     (square(0.3), "the robot can drive at most 0.2 m from the start")])
 def test_boxes_in_which_no_robot_can_drive_are_refused(boxes, words):
     with pytest.raises(SceneError, match=words):

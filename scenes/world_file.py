@@ -1,123 +1,294 @@
-"""Loads Gazebo worlds: the boxes of an SDF file such as the released simulator's `env5.world`. They
-are the collision boxes of all links, except planes, boxes below the floor, and links with sensors.
-If a link occurs twice, the last one counts. A pose in <state> overrides the others, as in Gazebo.
-A file whose room would differ from Gazebo's is refused."""
+"""Loads Gazebo worlds and models: the solids of an SDF file such as the released simulator's
+`env5.world` become the boxes of a room. A solid is a box or cylinder of a link that the robot can
+collide with. A pose in <state> overrides the others, as in Gazebo. If a link occurs twice, the last
+one counts. A robot is left out, and its place is the start. Poses are matrices (4, 4)."""
 
 import math
+from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
-from scenes import MOST_BOXES, box_of, check, check_width, numbers, shown
+import numpy as np
+
+from scenes import check, numbers, shown
 from scenes.generate import as_scene
-from scenes.places import complete
-from sim import SceneError, wrap_angle
+from scenes.places import remarks
+from sim import CAMERA_HEIGHT, Box, SceneError, wrap_angle
 
 MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # any other or none: wall
-UPRIGHT = 1e-3  # [rad] roll and pitch up to this count as 0, our choice
-ON_FLOOR = 0.01  # [m] distances from the floor up to this count as 0, our choice
-LEFT_OUT = {"model://sun", "model://ground_plane"}  # Gazebo models without walls
+WITHOUT_WALLS = ("sun", "ground_plane")  # ends of the names of Gazebo models to leave out
+IN_MODEL = ("link", "frame", "model", "joint")  # elements that a pose can be relative to
+ROBOT_PARTS = ("wheel", "base_link", "base_footprint")  # in names of a robot's links and joints
+DRIVES = ("diff_drive", "diffdrive", "skid_steer", "planar_move", "ackermann", "mecanum")  # plugins
+DEEPEST = 8  # models in models, our choice
+UPRIGHT = math.radians(1.2)  # [rad] tilts below this count as 0, our choice
+ON_FLOOR = 0.01  # [m] the robot drives over what is lower, our choice
+OVERHEAD = 0.6  # [m] the robot passes under what begins above this, our choice
+LOWEST = 0.3  # [m] what is lower is drawn this high, because the camera draws no tops, our choice
+SIDES = 5  # boxes that form a cylinder: their union has ten sides
+# The decagon is as far outside of the circle, at its corners, as it is inside, at its sides: 2.5 %.
+CORNER = 2 / (1 + math.cos(math.pi / 10))  # [radii] distance of its corners from the axis
 
 
-def parse_world(text, name):
-    """Returns the Scene of an SDF file's text, with a start and targets chosen by `complete`.
-    Raises SceneError."""
-    try:
-        root = ElementTree.fromstring(text)  # decoded text: its encoding declaration is ignored
-    except ElementTree.ParseError as error:
-        raise SceneError(f"it is not valid XML: {error}") from None
-    worlds = root.findall("world")
-    check(root.tag == "sdf" and len(worlds) == 1,
-          f"it is a {shown(root.tag)} with {len(worlds)} worlds; it must be an 'sdf' with one")
+@dataclass
+class Solid:
+    """A collision box or cylinder, upright, at its place in the world [m, rad]."""
+    what: str  # its name in messages
+    material: str
+    x: float
+    y: float
+    yaw: float
+    length: float
+    thickness: float
+    bottom: float
+    top: float
+    is_round: bool
+
+    @property
+    def boxes(self):
+        """The Boxes that it consists of, from the floor up: several for a cylinder."""
+        length, thickness = self.length, self.thickness
+        turns = [0.0]
+        if self.is_round:
+            length *= CORNER * math.cos(math.pi / 10)
+            thickness *= CORNER * math.sin(math.pi / 10)
+            turns = [k * math.pi / SIDES for k in range(SIDES)]
+        return [Box(self.material, self.x, self.y, float(wrap_angle(self.yaw + turn)), length,
+                    thickness, max(self.top, LOWEST)) for turn in turns]
+
+
+def boxes_of(text, folder=None, start=None):
+    """Returns the Boxes of an SDF file's text, and the start, which is that of a robot in the world
+    if None is given. folder: that of the file; included models are looked up in it as
+    ../models/NAME/model.sdf. Raises SceneError."""
+    root = read_xml(text)
+    worlds = root.findall("world") or [root]  # a file may have only a model
+    check(root.tag in ("sdf", "gazebo") and len(worlds) == 1, f"it is a {shown(root.tag)} with "
+          f"{len(worlds)} worlds; it must be an 'sdf' with one world or a model")
     [world] = worlds
-    for include in world.iter("include"):
-        uri = include.findtext("uri", "").strip()
-        check(uri in LEFT_OUT, f"it includes {shown(uri)}; it must contain the model itself")
-    for path in ("model/model", ".//population/*", ".//insertions/*", ".//deletions/*"):
-        check(world.find(path) is None, f"it has {path.strip('./*')}; it must hold only models of "
-                                        "links with fixed places")
-    models = world.findall("model")
-    boxes = [box for model in models for box in boxes_of_model(model, world)]
-    check(boxes, "no link has a box on the floor")
-    check(len(boxes) <= MOST_BOXES, f"it has {len(boxes)} boxes; it must have at most {MOST_BOXES}")
-    check_width(as_scene(boxes))
-    return complete(name, boxes)
+    check(world.find(".//population") is None, "it has a population, whose places are random")
+    expand(world, folder)
+    deleted = [name.text for name in world.iterfind("state/deletions/name")]
+    models = [model for model in [*world.findall("model"), *world.findall("state/insertions/model")]
+              if model.get("name") not in deleted]
+    for actor in world.iterfind("actor"):
+        remarks.warning("actor %s is left out", shown(actor.get("name")))
+    states = {state.get("name"): state for state in world.iterfind("state/model")}
+    solids = []
+    for model in models:
+        place = pose_in(world, model)
+        state = states.get(model.get("name"))
+        name = shown(model.get("name"))
+        if is_robot(model):
+            place = stated(state, place)
+            robot = (*place[:2, 3].tolist(), math.atan2(place[1, 0], place[0, 0]))
+            remarks.warning("model %s is a robot and is left out", name)
+            start = start or robot
+            continue
+        if model.find("plugin") is not None:
+            remarks.warning("model %s has a plugin, which may move it: here it stands still", name)
+        solids += solids_of_model(model, place, state)
+    return in_the_way(solids), start
 
 
-def boxes_of_model(model, world):
-    """Returns a list of the Boxes of a model, at the poses that the world's <state> gives."""
-    solid = {key: link for key, link in last_statements(model).items()
-             if link.find("collision") is not None and link.find("sensor") is None}
-    if not solid:
-        return []
+def read_xml(text):
+    """Returns the root element of an XML text. Raises SceneError. Unlike ElementTree's own parser,
+    it accepts tags like <ignition:type>, whose prefix is often not declared."""
+    check(text.lstrip().startswith("<"),
+          "it is not XML; it must be a Gazebo world or model (a world of Stage is neither)")
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    declaration = text.find("<?xml")  # a comment may precede it
+    end = text.find("?>", declaration) + 2 if declaration >= 0 else 0
+    try:
+        parser.Parse(text[end:], True)  # decoded text: its encoding declaration does not matter
+    except expat.ExpatError as error:
+        raise SceneError(f"it is not valid XML: {error}") from None
+    return builder.close()
+
+
+def refuse_doctype(*_):
+    """Raises SceneError: document types can define entities, which no world needs."""
+    raise SceneError("it has a DOCTYPE; it must be plain SDF")
+
+
+def expand(parent, folder, depth=0):
+    """Replaces all <include> elements in a world or model by the models that they name."""
+    check(depth < DEEPEST, f"it includes models in models, more than {DEEPEST} deep")
+    for k, child in enumerate(list(parent)):
+        if child.tag == "include":
+            child = parent[k] = included(child, folder)
+        if child.tag == "model":
+            expand(child, folder, depth + 1)
+
+
+def included(include, folder):
+    """Returns the model element that an <include> names: an empty one for sun and ground plane."""
+    uri = include.findtext("uri", "").strip()
+    name = uri.rstrip("/").split("/")[-1]
+    if name.lower().replace(" ", "_").endswith(WITHOUT_WALLS):
+        return ElementTree.Element("model")
+    path = (folder or Path()) / ".." / "models" / name / "model.sdf"
+    check(folder is not None and name == path.parent.name and path.is_file(),  # false for '..'
+          f"it includes {shown(uri)}; that must be '../models/{name}/model.sdf' beside its file")
+    model = read_xml(path.read_text("utf-8-sig")).find("model")
+    check(model is not None, f"'../models/{name}/model.sdf' has no model")
+    model.set("name", include.findtext("name", model.get("name", name)).strip())
+    if include.find("placement_frame") is not None:
+        model.set("placement_frame", include.findtext("placement_frame").strip())
+    if include.find("pose") is not None:
+        for pose in model.findall("pose"):
+            model.remove(pose)
+        model.append(include.find("pose"))
+    return model
+
+
+def is_robot(model):
+    """Returns whether a model can move and has a drive or parts named as those of robots."""
+    names = [part.get("name", "").lower() for part in model.iter() if part.tag in ("link", "joint")]
+    plugins = [(plugin.get("filename", "") + plugin.get("name", "")).lower()
+               for plugin in model.iter("plugin")]
+    return model.findtext("static", "").strip() not in ("1", "true") and (
+        any(part in name for name in names for part in ROBOT_PARTS)
+        or any(drive in plugin for plugin in plugins for drive in DRIVES))
+
+
+def solids_of_model(model, place, state):
+    """Returns a list of the Solids of a model and of the models in it. place: its pose in the
+    world. state: its <model> in <state>, or None."""
     name = shown(model.get("name"))
-    place = pose_of(model, f"model {name}")
-    stated = {}
-    for state in world.findall("state/model"):
-        if state.get("name") == model.get("name"):
-            scale = read_numbers(state.findtext("scale", "1 1 1"), 3, f"model {name}.scale")
-            check(scale == (1, 1, 1), f"model {name} has the scale {scale}; it must be 1 1 1")
-            place = pose_of(state, f"model {name} in <state>", place)
-            stated |= last_statements(state)
-    boxes = []
-    for key, link in solid.items():
+    place = stated(state, place)
+    scale = (1.0, 1.0, 1.0)
+    moved = {}
+    inner = {}
+    if state is not None:
+        scale = read_numbers(state.findtext("scale", "1 1 1"), 3, f"model {name}.scale")
+        moved = {link.get("name"): link for link in state.iterfind("link")}
+        inner = {other.get("name"): other for other in state.iterfind("model")}
+    solids = []
+    links = {link.get("name", k): link for k, link in enumerate(model.findall("link"))}
+    for key, link in links.items():
         what = f"link {shown(link.get('name'))} of {name}"
-        pose = compose(place, pose_of(link, what))
-        if key in stated:  # a pose in the world, not in the model
-            pose = pose_of(stated[key], f"{what} in <state>", pose)
-        boxes += boxes_of_link(link, pose, what)
-    return boxes
+        if link.find("collision") is not None:
+            link_place = stated(moved.get(key), place @ pose_in(model, link))
+            solids += solids_of_link(link, link_place, scale, what)
+    for other in model.iterfind("model"):
+        solids += solids_of_model(other, place @ pose_in(model, other),
+                                  inner.get(other.get("name")))
+    return solids
 
 
-def last_statements(model):
-    """Returns a dict of the links of a model by name, or by number if unnamed. The last wins."""
-    return {link.get("name", k): link for k, link in enumerate(model.findall("link"))}
-
-
-def boxes_of_link(link, place, what):
-    """Returns a list of the Boxes of a link. place: its pose in the world."""
+def solids_of_link(link, place, scale, what):
+    """Returns a list of the Solids of a link. place: its pose in the world."""
     # A collision has the material of the visual with the same number, or else of the last one.
     materials = [MATERIAL_OF.get(visual.findtext("material/script/name", "").strip(), "wall")
                  for visual in link.findall("visual")] or ["wall"]
-    boxes = []
+    solids = []
     for k, collision in enumerate(link.findall("collision")):
         shapes = [shape for geometry in collision.findall("geometry") for shape in geometry]
         tags = [shape.tag for shape in shapes]
-        if tags in ([], ["empty"], ["plane"]):
+        if tags in ([], ["empty"], ["plane"]) or is_permeable(collision):
             continue
-        check(tags == ["box"], f"{what} is a {shown(' and a '.join(tags))}; it must be one box")
-        length, thickness, height = read_numbers(shapes[0].findtext("size"), 3, f"{what}.size")
-        check(height > 0, f"{what}.height is {height}; it must be above 0")
-        x, y, z, yaw = compose(place, pose_of(collision, what))
-        if z + height / 2 <= ON_FLOOR:
-            continue
-        bottom = z - height / 2
-        check(abs(bottom) <= ON_FLOOR,
-              f"{what} begins {bottom:.2f} m above the floor; it must be on it")
-        table = dict(material=materials[min(k, len(materials) - 1)], x=x, y=y,
-                     yaw=float(wrap_angle(yaw)), length=length, thickness=thickness, height=height)
-        boxes.append(box_of(table, what, in_degrees=False))
-    return boxes
+        check(tags in (["box"], ["cylinder"]),
+              f"{what} is a {shown(' and a '.join(tags))}; it must be one box or cylinder")
+        if tags == ["box"]:
+            size = read_numbers(shapes[0].findtext("size"), 3, f"{what}.size")
+        else:
+            radius, height = [read_numbers(shapes[0].findtext(key), 1, f"{what}.{key}")[0]
+                              for key in ("radius", "length")]
+            size = (2 * radius, 2 * radius, height)
+        size = tuple(np.multiply(size, scale).tolist())
+        check(min(size) > 0, f"{what}.size is {size}; all of it must be above 0")
+        pose = place @ pose_in(link, collision)
+        axis = np.abs(pose[2, :3]).argmax()  # the vertical one of the solid's own axes
+        tilt = math.acos(min(abs(pose[2, axis]), 1.0))
+        check(tilt < UPRIGHT and (tags == ["box"] or axis == 2),
+              f"{what} is tilted; it must be upright, within {math.degrees(UPRIGHT):.1f} degrees")
+        along, across = (axis + 1) % 3, (axis + 2) % 3
+        x, y, z = pose[:3, 3].tolist()
+        yaw = math.atan2(pose[1, along], pose[0, along])
+        solids.append(Solid(what, materials[min(k, len(materials) - 1)], x, y, yaw, size[along],
+                            size[across], z - size[axis] / 2, z + size[axis] / 2,
+                            tags == ["cylinder"]))
+    return solids
 
 
-def pose_of(element, what, otherwise=(0.0, 0.0, 0.0, 0.0)):
-    """Returns the pose (x, y, z, yaw) [m, rad] of an upright element; `otherwise` by default."""
+def is_permeable(collision):
+    """Returns whether the robot can drive through a collision."""
+    contact = collision.find("surface/contact")
+    if contact is None:
+        return False
+    only_felt = contact.findtext("collide_without_contact", "").strip() in ("1", "true")
+    return only_felt or contact.findtext("collide_bitmask", "1").strip() in ("0", "0x0", "0x00")
+
+
+def in_the_way(solids):
+    """Returns the Boxes of all Solids that the robot can collide with."""
+    solids = [solid for solid in solids if solid.bottom < OVERHEAD and solid.top > ON_FLOOR]
+    check(solids, "no link has a box or cylinder that the robot can collide with")
+    low, high = as_scene([box for solid in solids for box in solid.boxes]).bounds
+    most = np.prod(high - low) / 2  # a low solid with more area is a floor
+    solids = [solid for solid in solids
+              if solid.top > CAMERA_HEIGHT or solid.length * solid.thickness < most]
+    lower = [solid.what for solid in solids if solid.top <= CAMERA_HEIGHT]
+    if lower:
+        remarks.warning("lower than the camera, but drawn %.1f m high: %s", LOWEST, shown(lower))
+    check(solids, "it has only a floor")
+    return [box for solid in solids for box in solid.boxes]
+
+
+def pose_in(parent, element):
+    """Returns the pose of an element relative to its parent."""
     pose = element.find("pose")
-    if pose is None:
-        return otherwise
-    unusual = {key: value for key, value in pose.items()
-               if value not in ("", "false", "0", "euler_rpy")}
-    check(not unusual, f"{what}.pose has {shown(unusual)}; it must be in radians, without a frame")
-    x, y, z, roll, pitch, yaw = read_numbers(pose.text, 6, f"{what}.pose")
-    check(max(abs(roll), abs(pitch)) <= UPRIGHT,
-          f"{what} has roll {roll:g} and pitch {pitch:g}; both must be 0")
-    return x, y, z, yaw
+    own = np.eye(4) if pose is None else matrix(pose, shown(element.get("name")))
+    base = element.get("attached_to", "")
+    if pose is not None:
+        base = pose.get("relative_to") or pose.get("frame") or base
+    if base not in ("", "world", "__model__"):
+        own = pose_in(parent, named(parent, base)) @ own
+    placed = element.get("placement_frame")
+    if placed:  # the pose is not that of the model, but of a part of it
+        own = own @ np.linalg.inv(pose_in(element, named(element, placed)))
+    return own
 
 
-def compose(outer, inner):
-    """Returns the world pose (x, y, z, yaw) of a pose `inner` given relative to `outer`."""
-    x, y, z, yaw = inner
-    c = math.cos(outer[3])
-    s = math.sin(outer[3])
-    return (outer[0] + c * x - s * y, outer[1] + s * x + c * y, outer[2] + z, outer[3] + yaw)
+def named(parent, name):
+    """Returns the last element in a world or model that has a name and that poses can refer to."""
+    found = [child for child in parent if child.tag in IN_MODEL and child.get("name") == name]
+    check(found and found[-1].tag != "joint", f"a pose is relative to {shown(name)}; it must be a "
+          "link, frame or model beside it")
+    return found[-1]
+
+
+def stated(state, otherwise):
+    """Returns the pose in an element of <state>, which is in the world; `otherwise` if none."""
+    pose = None if state is None else state.find("pose")
+    return otherwise if pose is None else matrix(pose, shown(state.get("name")))
+
+
+def matrix(pose, what):
+    """Returns the matrix (4, 4) of a <pose> element: of its position and its roll, pitch, yaw."""
+    form = pose.get("rotation_format", "euler_rpy")
+    check(form == "euler_rpy", f"the pose of {what} has the rotation_format {shown(form)}; it must "
+                               "be euler_rpy")
+    *place, roll, pitch, yaw = read_numbers(pose.text or "0 0 0 0 0 0", 6, f"the pose of {what}")
+    unit = math.radians(1) if pose.get("degrees") in ("1", "true") else 1.0
+    result = np.eye(4)
+    for axis, angle in ((2, yaw), (1, pitch), (0, roll)):  # R = Rz Ry Rx
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(4)
+        turn[[i, j], [i, j]] = math.cos(angle * unit)
+        turn[i, j] = -math.sin(angle * unit)
+        turn[j, i] = math.sin(angle * unit)
+        result = result @ turn
+    result[:3, 3] = place
+    return result
 
 
 def read_numbers(text, count, what):

@@ -2,14 +2,16 @@
 at every stage, and a few robots drive in validation rooms, which are never trained on."""
 
 import functools
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
 import scenes as scene_files
 from scenes import generate
-from sim import Scene
+from sim import Scene, SceneError
 
 RANDOM = "random"  # the value of `--env`
+ROOM = "room.json"  # the given room, in the folder of a run
 VALIDATION_ROOMS = 16  # random:0 to random:15, never trained on, our choice
 FIRST_ROOM = 1_000_000  # a run with seed k trains in rooms numbered from (k + 1) * FIRST_ROOM up
 DRAWS = 3  # draws of a start, at most, until a box blocks the straight line to the goal, our choice
@@ -22,13 +24,16 @@ def make_rooms(config, scenes):
 
 def load_rooms(config):
     """Returns the Scenes of a run: the given room, or the validation rooms. A resumed run has its
-    own copy of the room's file. Raises SceneError."""
+    own copy of the room. Raises SceneError."""
     if config.env == RANDOM:
         return validation_scenes()
-    file = scene_files.find(config.env)
-    if config.resume and file is not None:
-        file = Path(config.resume, file.name)
-    scene = scene_files.load(file or config.env)
+    if config.resume:
+        path = Path(config.resume, ROOM)
+        try:
+            return [scene_files.rebuild(json.loads(path.read_text("utf-8")))]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SceneError(f"room '{path}' cannot be used: {error}") from None
+    scene = scene_files.load(config.env)
     if config.targets == "memorize":  # only one target
         scene = replace(scene, training_targets=scene.training_targets[:1], new_targets=())
     return [scene]

@@ -5,7 +5,6 @@ import itertools
 import json
 import os
 import shlex
-import shutil
 import sys
 import time
 import zipfile
@@ -15,11 +14,10 @@ from pathlib import Path
 
 import torch
 
-import scenes as scene_files
 from sim import SceneError
 from support import parallel
 from support.cli import program
-from support.rooms import RANDOM, load_rooms
+from support.rooms import RANDOM, ROOM, load_rooms
 from support.runs import RunError, write
 from support.weights import FILE, save_model
 
@@ -117,13 +115,15 @@ def begin_run(config, parser, environment):
     if parallel.rank() == 0:
         if not config.resume:
             make_folder(config, RANDOM if config.env == RANDOM else scenes[0].name)
+            if config.env != RANDOM:
+                write(Path(config.out, ROOM), json.dumps(asdict(scenes[0])))
         print(f"run folder: {config.out}", file=sys.stderr if config.json else sys.stdout)
     return config, scenes
 
 
 def make_folder(config, name):
-    """Makes a new run's folder, with a copy of the room's file, and sets `config.out` to it. The
-    default is the first free one of runs/NAME-seedK, runs/NAME-seedK-2, ... Raises RunError."""
+    """Makes a new run's folder and sets `config.out` to it. The default is the first free one of
+    runs/NAME-seedK, runs/NAME-seedK-2, ... Raises RunError."""
     for copy in itertools.count(1):
         suffix = f"-{copy}" if copy > 1 else ""
         path = Path(config.out or f"runs/{name}-seed{config.seed}{suffix}")
@@ -136,9 +136,6 @@ def make_folder(config, name):
         except OSError as error:
             raise RunError(f"folder '{path}' cannot be created: {error.strerror}")
     config.out = str(path)
-    file = scene_files.find(config.env)
-    if file is not None:
-        shutil.copy(file, path)
 
 
 def open_folder(config):

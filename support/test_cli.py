@@ -39,7 +39,7 @@ def refusal(main, argv, capsys):
     (TRAIN, "--robots 64.0", "--robots: '64.0' is not a whole number from 1 to 4,096"),
     (TRAIN, "--clip inf", "--clip: 'inf' is not a number from 1e-09 to 1,000,000,000"),
     (TRAIN, "--step 5", "unrecognized arguments: --step 5"),  # not an abbreviation of --steps
-    (TRAIN, "--env none.toml", "scene file 'none.toml' cannot be used: No such file"),
+    (TRAIN, "--env none.toml", "room file 'none.toml' cannot be used: No such file"),
     (TRAIN, "--env lab", "room 'lab' has a robot's errors; use python -m robot.train"),
     (TRAIN, "--env random:x", "must be random: and a whole number from 0 to 1,000,000,000"),
     (TRAIN, "--rooms 4", "--rooms is 4; it has an effect only with --env random: leave it out"),

@@ -1,0 +1,123 @@
+"""Loads maps of ROS: a YAML file and the image that it names. The cells that are not known to be
+free become boxes, merged into rectangles. Axis letters: X, Y cells of the map."""
+
+import math
+
+import numpy as np
+
+from scenes import MOST_BOXES, check, check_keys, number, numbers, shown
+from scenes.places import parts, remarks
+from sim import Box, SceneError
+
+HEIGHT = 2.5  # [m] of walls, as in the released rooms
+MOST_CELLS = 4000 ** 2
+WALL = 3  # [cells] thickness of walls around the room, at most
+KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+MODES = ("trinary", "scale")  # in both, a cell is free below free_thresh
+AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+
+
+def boxes_of(text, folder, start=None):
+    """Returns the Boxes of a map's YAML text around its largest free part, or around the part with
+    the start, and the start. folder: that of its image, or None. Raises SceneError."""
+    check(folder is not None, "its image is another file: give its path to --env")
+    try:
+        import yaml
+        table = yaml.safe_load(text)
+    except ModuleNotFoundError:
+        raise SceneError("package 'yaml' is missing: pip install -r scenes/requirements.txt"
+                         ) from None
+    except yaml.YAMLError as error:
+        raise SceneError(f"it is not valid YAML: {str(error).splitlines()[0]}") from None
+    check_keys(table, KEYS, "the map", optional=("mode",))
+    mode = table.get("mode", "trinary")
+    check(mode in MODES, f"mode is {shown(mode)}; it must be one of {', '.join(MODES)}")
+    check(table["negate"] in (0, 1), f"negate is {shown(table['negate'])}; it must be 0 or 1")
+    resolution = number(table["resolution"], "resolution", 0.001, 1.0)
+    x, y, yaw = numbers(table["origin"], "origin", 3)
+    number(table["occupied_thresh"], "occupied_thresh", 0, 1)  # all other cells count as occupied
+    grey = read_image(folder, table["image"]) / 255  # (X, Y), 1 is white
+    occupancy = grey if table["negate"] else 1 - grey
+    free = occupancy < number(table["free_thresh"], "free_thresh", 0, 1)
+    check(free.any(), f"no cell of {shown(table['image'])} is free")
+    turn = np.exp(1j * yaw)
+    seed = None
+    if start:
+        own = (complex(*start[:2]) - complex(x, y)) / turn / resolution  # [cells] in the map's axes
+        seed = math.floor(own.real), math.floor(own.imag)
+        inside = all(0 <= k < n for k, n in zip(seed, free.shape))
+        check(inside and free[seed], f"start {start[:2]} is not on a free cell of the map")
+    boxes = []
+    for left, bottom, right, top in merged(free, seed, resolution):
+        centre = complex(x, y) + complex(left + right, bottom + top) / 2 * resolution * turn
+        boxes.append(Box("wall", centre.real, centre.imag, yaw, float(right - left) * resolution,
+                         float(top - bottom) * resolution, HEIGHT))
+    return boxes, start
+
+
+def read_image(folder, name):
+    """Returns the grey values (X, Y) of an image, from 0 (black) to 255; y points up."""
+    from PIL import Image  # a package that matplotlib needs
+    try:
+        with Image.open(folder / str(name)) as image:
+            check(image.width * image.height <= MOST_CELLS,
+                  f"{shown(name)} has {image.width} x {image.height} cells; it must have at most "
+                  f"{MOST_CELLS:,}")
+            return np.asarray(image.convert("L"))[::-1].T
+    except OSError as error:  # also of an unknown format
+        raise SceneError(f"image {shown(name)} cannot be used: {error.strerror or 'unknown format'}"
+                         ) from None
+
+
+def merged(free, seed, resolution):
+    """Returns rectangles (left, bottom, right, top) [cells] around one connected part of the free
+    cells: the largest, or the one with the cell `seed`. If there are too many rectangles, cells are
+    merged into larger ones, which count as free if all of them are."""
+    for size in range(1, min(free.shape) + 1):
+        coarse = np.pad(free, [(0, -n % size) for n in free.shape])
+        coarse = coarse.reshape(len(coarse) // size, size, -1, size).all((1, 3))
+        if not coarse.any():
+            break
+        part = parts(coarse)
+        here = part[seed[0] // size, seed[1] // size] if seed else -1
+        if here < 0:
+            here = np.bincount(part[part >= 0], minlength=1).argmax()
+        inside = part == here
+        x, y = [np.flatnonzero(inside.any(axis)) for axis in (1, 0)]
+        inside = np.pad(inside[x[0]:x[-1] + 1, y[0]:y[-1] + 1], WALL)
+        found = rectangles(inside)
+        if len(found) <= MOST_BOXES:
+            if size > 1:
+                remarks.warning("the map has many details: its cells are merged to %.2f m",
+                                size * resolution)
+            return (np.array(found) + (x[0], y[0], x[0], y[0]) - WALL) * size
+    raise SceneError(f"its free cells need more than {MOST_BOXES} boxes around them")
+
+
+def rectangles(part):
+    """Returns rectangles (left, bottom, right, top) of cells outside of a part (X, Y) bool, at most
+    one too many. They cover all its neighbours. Each one is grown from the first uncovered
+    neighbour, first along one axis and then along the other, whichever order covers more."""
+    blocked = ~part
+    missing = blocked & np.any([np.roll(part, step, (0, 1)) for step in AROUND], axis=0)
+    found = []
+    while missing.any() and len(found) <= MOST_BOXES:
+        i, j = np.unravel_index(missing.argmax(), missing.shape)
+        left, right = run(blocked[:, j], i)
+        bottom, top = run(blocked[left:right].all(0), j)
+        one = left, bottom, right, top
+        bottom, top = run(blocked[i], j)
+        left, right = run(blocked[:, bottom:top].all(1), i)
+        other = left, bottom, right, top
+        best = max(one, other, key=lambda r: missing[r[0]:r[2], r[1]:r[3]].sum())
+        missing[best[0]:best[2], best[1]:best[3]] = False
+        found.append(best)
+    return found
+
+
+def run(line, k):
+    """Returns the ends (first, last + 1) of the run of True values around index k of a line."""
+    breaks = np.flatnonzero(~line)
+    after = np.searchsorted(breaks, k)
+    return (int(breaks[after - 1]) + 1 if after else 0,
+            int(breaks[after]) if after < len(breaks) else len(line))
