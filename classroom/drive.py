@@ -32,7 +32,7 @@ OTHERS = ("oracle", "bug", "straight")  # planners that drive the same tasks
 @dataclass
 class Options:
     """Command-line options of a drive."""
-    env: str = option("env1", "a room: its name, a file (.toml, .world) or random:7")
+    env: str = option("env1", "a room: its name, a file (.toml, .world, .yaml) or random:7")
     episodes: int = option(5, "number of episodes, each with a random start and target", 1, 1000)
     seed: int = option(0, "seed of the tasks: the same seed, the same tasks", 0, 10 ** 9)
     name: str = option("you", "your name, for drives.csv")

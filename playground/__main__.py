@@ -14,7 +14,7 @@ from support.cli import option, parse
 from support.runs import RunError
 
 OPTIONS = {
-    "room": option("env1", "a room: its name, a file (.toml, .world) or random:7"),
+    "room": option("env1", "a room: its name, a file (.toml, .world, .yaml) or random:7"),
     "driver": option("pretrained/env1", "a policy, a planner, or `you`"),
     "port": option(8765, "port on this machine; 0: any free one", 0, 65535),
     "no_browser": option(False, "only print the address")}

@@ -195,6 +195,9 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
     assert len(others) == 5 and astuple(box)[1:] == pytest.approx((0.3, 0.2, *STANDING[2:]))
     (tmp_path / "models" / "crate" / "model.sdf").write_text(
         "<sdf><model name='c'><include><uri>model://crate</uri></include></model></sdf>")
+    (tmp_path / "model.sdf").write_text(GOOD)
+    with pytest.raises(SceneError, match="it includes 'model://..'; that must be"):
+        parse_world(text.replace("://shelf", "://.."), "room", tmp_path / "worlds")
     with pytest.raises(SceneError, match="it includes models in models, more than 8 deep"):
         parse_world(text, "room", tmp_path / "worlds")
     with pytest.raises(SceneError, match="'model://shelf'; that must be '../models/shelf/"):

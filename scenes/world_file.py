@@ -135,7 +135,8 @@ def included(include, folder):
     if name.lower().replace(" ", "_").endswith(WITHOUT_WALLS):
         return ElementTree.Element("model")
     path = (folder or Path()) / ".." / "models" / name / "model.sdf"
-    check(folder is not None and name == path.parent.name and path.is_file(),  # false for '..'
+    is_name = name.strip(".") and Path(name).name == name  # not another folder, such as '..'
+    check(folder is not None and is_name and path.is_file(),
           f"it includes {shown(uri)}; that must be '../models/{name}/model.sdf' beside its file")
     model = read_xml(path.read_text("utf-8-sig")).find("model")
     check(model is not None, f"'../models/{name}/model.sdf' has no model")
