@@ -141,8 +141,8 @@ STANDING = (0.3, 0.2, 0.0, 0.4, 0.3, 0.6)  # x, y, yaw, length, thickness, heigh
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.5 0 0 0"), (*STANDING[:5], 0.8)),  # hangs low
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 -0.1 0 0 0"), (*STANDING[:5], 0.3)),  # 0.2 m high
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.3 0.02 0 0"), STANDING),
-    (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.3 1.5708 0 0"), 
-     (0.3, 0.2, -math.pi / 2, 0.6, 0.4, 0.45)),
+    (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.3 1.5708 0 0.5"),
+     (0.3, 0.2, 0.5 - math.pi / 2, 0.6, 0.4, 0.45)),
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.3 0 0 90", pose="pose degrees='true'"),
      (0.3, 0.2, math.pi / 2, 0.4, 0.3, 0.6)),
     (with_model(f"<frame name='f'><pose>0.1 0 0 0 0 0</pose></frame><link>"
@@ -176,6 +176,8 @@ def test_a_scaled_cylinder_is_a_union_of_boxes_within_3_percent_of_its_radius():
         circle = np.stack([0.3 + radius * around.real, 0.2 + radius * around.imag], -1)
         clearance = scenes.generate.as_scene(boxes).clearance(circle)
         assert ((clearance < 0) == is_inside).all()
+    with pytest.raises(SceneError, match="is tilted; it must be upright"):
+        parse_world(text.replace("<collision>", "<collision><pose>0 0 0 1.5708 0 0</pose>"))
 
 
 def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp_path):
