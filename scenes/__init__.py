@@ -62,7 +62,7 @@ def read(text, path, folder=None, start=""):
     looked up; None if there are none. start: `x,y,degrees`, or "". Raises SceneError."""
     suffix = path.suffix.lower()
     try:
-        pose = start_of(start)
+        pose = chosen = start_of(start)
         if suffix in (*WORLDS, *MAPS):
             if suffix in WORLDS:
                 from scenes.world_file import boxes_of
@@ -70,7 +70,13 @@ def read(text, path, folder=None, start=""):
                 from scenes.map_file import boxes_of
             boxes, pose = boxes_of(text, folder, pose)
             check_size(generate.as_scene(boxes))
-            scene = complete(path.stem, boxes, pose)
+            try:
+                scene = complete(path.stem, boxes, pose)
+            except SceneError as error:
+                if chosen or not pose:
+                    raise
+                remarks.warning("%s: the robot's place is not the start", error)
+                scene = complete(path.stem, boxes)
             check_size(scene)  # a fence counts
             remarks.warning("the targets of room %r are chosen: its file has none", scene.name)
             return scene
@@ -82,7 +88,10 @@ def read(text, path, folder=None, start=""):
         except tomllib.TOMLDecodeError as error:
             raise SceneError(f"it is not valid TOML: {error}") from None
         return parse(table, path.stem)
-    except (ValueError, RecursionError, OSError) as error:  # SceneErrors are ValueErrors
+    except RecursionError:
+        raise SceneError(f"room file {str(path)!r} cannot be used: its parts are nested too deep, "
+                         "or each is placed relative to another") from None
+    except (ValueError, OSError) as error:  # SceneErrors are ValueErrors
         raise SceneError(f"room file {str(path)!r} cannot be used: {error}") from None
 
 

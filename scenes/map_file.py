@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from scenes import MOST_BOXES, check, check_keys, number, numbers, shown
+from scenes import MOST_BOXES, check, number, numbers, shown
 from scenes.places import parts, remarks
 from sim import Box, SceneError
 
@@ -14,6 +14,7 @@ MOST_CELLS = 4000 ** 2
 WALL = 3  # [cells] thickness of walls around the room, at most
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale")  # in both, a cell is free below free_thresh
+UNKNOWN = 205  # grey value of unknown cells in saved maps, also if free_thresh is too high for it
 AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 
 
@@ -23,22 +24,27 @@ def boxes_of(text, folder, start=None):
     check(folder is not None, "its image is another file: give its path to --env")
     try:
         import yaml
-        table = yaml.safe_load(text)
+        table = yaml.load(text, yaml.BaseLoader)  # as texts, because 5e-2 is not a number in YAML
     except ModuleNotFoundError:
         raise SceneError("package 'yaml' is missing: pip install -r scenes/requirements.txt"
                          ) from None
     except yaml.YAMLError as error:
         raise SceneError(f"it is not valid YAML: {str(error).splitlines()[0]}") from None
-    check_keys(table, KEYS, "the map", optional=("mode",))
+    check(isinstance(table, dict), f"the map is {shown(table)}; it must be a table")
+    for key in KEYS:  # ROS ignores others
+        check(key in table, f"the map has no '{key}'")
     mode = table.get("mode", "trinary")
     check(mode in MODES, f"mode is {shown(mode)}; it must be one of {', '.join(MODES)}")
-    check(table["negate"] in (0, 1), f"negate is {shown(table['negate'])}; it must be 0 or 1")
-    resolution = number(table["resolution"], "resolution", 0.001, 1.0)
-    x, y, yaw = numbers(table["origin"], "origin", 3)
-    number(table["occupied_thresh"], "occupied_thresh", 0, 1)  # all other cells count as occupied
-    grey = read_image(folder, table["image"]) / 255  # (X, Y), 1 is white
-    occupancy = grey if table["negate"] else 1 - grey
-    free = occupancy < number(table["free_thresh"], "free_thresh", 0, 1)
+    negate = str(table["negate"]).lower()
+    check(negate in ("0", "1", "false", "true"), f"negate is {shown(negate)}; it must be 0 or 1")
+    resolution = number(value(table["resolution"]), "resolution", 0.001, 1.0)
+    x, y, yaw = numbers(value(table["origin"]), "origin", 3)
+    number(value(table["occupied_thresh"]), "occupied_thresh", 0, 1)  # others count as occupied
+    grey = read_image(folder, table["image"])  # (X, Y), 255 is white
+    occupancy = (grey if negate in ("1", "true") else 255 - grey) / 255
+    free = occupancy < number(value(table["free_thresh"]), "free_thresh", 0, 1)
+    if mode == "trinary":
+        free &= grey != UNKNOWN
     check(free.any(), f"no cell of {shown(table['image'])} is free")
     turn = np.exp(1j * yaw)
     seed = None
@@ -55,18 +61,33 @@ def boxes_of(text, folder, start=None):
     return boxes, start
 
 
+def value(text):
+    """Returns the number in a text, or the numbers in a list of texts; other texts unchanged."""
+    if isinstance(text, list):
+        return [value(item) for item in text]
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return text
+
+
 def read_image(folder, name):
     """Returns the grey values (X, Y) of an image, from 0 (black) to 255; y points up."""
     from PIL import Image  # a package that matplotlib needs
+    path = folder / str(name)
+    if not path.is_file():
+        path = folder / path.name  # the map was saved on another machine
     try:
-        with Image.open(folder / str(name)) as image:
+        with Image.open(path) as image:
             check(image.width * image.height <= MOST_CELLS,
                   f"{shown(name)} has {image.width} x {image.height} cells; it must have at most "
                   f"{MOST_CELLS:,}")
+            if image.mode.startswith("I"):  # 16 bits
+                return np.round(np.asarray(image)[::-1].T / 257)
             return np.asarray(image.convert("L"))[::-1].T
-    except OSError as error:  # also of an unknown format
-        raise SceneError(f"image {shown(name)} cannot be used: {error.strerror or 'unknown format'}"
-                         ) from None
+    except (OSError, Image.DecompressionBombError) as error:  # OSError: also of an unknown format
+        reason = getattr(error, "strerror", None) or "unknown format or too large"
+        raise SceneError(f"image {shown(name)} cannot be used: {reason}") from None
 
 
 def merged(free, seed, resolution):

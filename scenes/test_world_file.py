@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +117,8 @@ def with_model(content, place="0.3 0.2 0.3 0 0 0", name="thing", pose="pose"):
     "<link><visual><geometry><box/></geometry></visual></link>",
     f"<link><pose>0 0 -0.595 0 0 0</pose>{BOX}</link>",  # below the floor
     f"<link><pose>0 0 0.61 0 0 0</pose>{BOX}</link>",  # above the robot
+    f"<link><pose>0 0 0.8 0 0.5 0</pose>{BOX}</link>",  # likewise, and tilted
+    f"<link>{BOX.replace('0.4', '0')}</link>",
     f"<link>{PERMEABLE.format('<collide_bitmask>0x00</collide_bitmask>')}</link>",
     f"<link>{PERMEABLE.format('<collide_without_contact>true</collide_without_contact>')}</link>",
     f"<link>{BOX}</link><link name='WHEEL_left'/>",  # a robot
@@ -137,6 +139,9 @@ STANDING = (0.3, 0.2, 0.0, 0.4, 0.3, 0.6)  # x, y, yaw, length, thickness, heigh
 @pytest.mark.parametrize("text, expected", [
     (with_model(f"<link>{BOX}<sensor type='contact'/></link>"), STANDING),
     (with_model(f"<static>true</static><link>{BOX}</link>{WHEEL}"), STANDING),
+    (with_model(f"<link name='base_link'>{BOX}</link><joint type='fixed'/>"), STANDING),
+    (with_model(f"<link>{BOX}</link><model name='r'><link name='wheel'>{BOX}</link></model>"),
+     STANDING),
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0 0 0 0"), (*STANDING[:5], 0.3)),  # sunk
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.5 0 0 0"), (*STANDING[:5], 0.8)),  # hangs low
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 -0.1 0 0 0"), (*STANDING[:5], 0.3)),  # 0.2 m high
@@ -148,6 +153,10 @@ STANDING = (0.3, 0.2, 0.0, 0.4, 0.3, 0.6)  # x, y, yaw, length, thickness, heigh
     (with_model(f"<frame name='f'><pose>0.1 0 0 0 0 0</pose></frame><link>"
                 f"<pose relative_to='f'>0 0.1 0 0 0 0</pose>{BOX}</link>"),
      (0.4, 0.3, *STANDING[2:])),
+    (with_model(f"<joint name='j' type='fixed'><child>a</child></joint><link name='a'>"
+                "<pose>0.1 0 0 0 0 0</pose></link><link>"
+                f"<pose relative_to='j'>0 0.1 0 0 0 0</pose>{BOX}</link>"),
+     (0.4, 0.3, *STANDING[2:])),
     (with_model(f"<link name='a'><pose>1 0 0 0 0 1.5708</pose>{BOX}</link>").replace(
         "name='thing'", "name='thing' placement_frame='a'"), STANDING),
     (with_model(f"<model name='m'><pose>0.1 0 0 0 0 0</pose><link>{BOX}</link></model>"),
@@ -158,7 +167,7 @@ STANDING = (0.3, 0.2, 0.0, 0.4, 0.3, 0.6)  # x, y, yaw, length, thickness, heigh
      (-0.2, 0, 0, 0.8, 0.3, 0.6)),
     (with_model("").replace("</world>", f"<state><insertions><model name='new'><link>"
      f"<pose>0.3 0.2 0.3 0 0 0</pose>{BOX}</link></model></insertions></state></world>"), STANDING),
-    ("<!-- made by x -->\n" + with_model(f"<link>{BOX}</link>"), STANDING),
+    ("<!-- <?xml ?> -- made by x -->\n" + with_model(f"<link>{BOX}</link>"), STANDING),
     (with_model(f"<link>{BOX}<ignition::grid a:b='1'/><x:y/></link>"), STANDING)])
 def test_a_solid_becomes_a_box_from_the_floor_up(text, expected):
     *_, box = parse_world(text).boxes
@@ -178,6 +187,9 @@ def test_a_scaled_cylinder_is_a_union_of_boxes_within_3_percent_of_its_radius():
         assert ((clearance < 0) == is_inside).all()
     with pytest.raises(SceneError, match="is tilted; it must be upright"):
         parse_world(text.replace("<collision>", "<collision><pose>0 0 0 1.5708 0 0</pose>"))
+    ball = "<pose>0 0 0 1 1 0</pose><geometry><sphere><radius>0.2</radius></sphere></geometry>"
+    text = text.replace(cylinder, ball).replace("2 2 1", "2 2 2.5")
+    assert parse_world(text).boxes[5:] == tuple(replace(box, height=0.8) for box in boxes)
 
 
 def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp_path):
@@ -185,10 +197,11 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
     (tmp_path / "models" / "crate").mkdir(parents=True)
     (tmp_path / "models" / "shelf").mkdir()
     (tmp_path / "models" / "crate" / "model.sdf").write_text(
-        f"<sdf><model name='c'><pose>9 9 9 0 0 0</pose><link>{BOX}</link></model></sdf>")
+        "<sdf><model name='c'><pose>9 9 9 0 0 0</pose><frame name='f'><pose>8.9 0.1 0 0 0 0</pose>"
+        f"</frame><link>{BOX}</link></model></sdf>")
     (tmp_path / "models" / "shelf" / "model.sdf").write_text(
         "<sdf version='1.6'><model name='s'><include><uri>model://crate</uri>"
-        "<pose>0.1 0 0 0 0 0</pose></include></model></sdf>")
+        "<pose>9 0.1 0 0 0 0</pose><placement_frame>f</placement_frame></include></model></sdf>")
     includes = "".join(f"<include><uri>{uri}</uri><pose>0.2 0.2 0.3 0 0 0</pose></include>"
                        for uri in ("model://my/ground_plane", "model://shelf",
                                    "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Sun"))
@@ -208,12 +221,14 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
 
 def test_a_model_is_a_room_and_a_robot_is_its_start(tmp_path, caplog):
     robot = (f"<model name='r'><pose>0.1 -0.2 0 0 0 1</pose><link name='base_link'>{BOX}</link>"
-             "</model>")
+             "<joint type='revolute'/></model>")
     path = tmp_path / "model.sdf"
     path.write_text(f"<sdf version='1.6'>{model(links_of(SQUARE))}</sdf>")
     assert len(scenes.load(path).boxes) == 4
     scene = parse_world(world(model(links_of(SQUARE)), robot))
     assert scene.start == pytest.approx((0.1, -0.2, 1)) and "'r' is a robot" in caplog.text
+    scene = parse_world(world(model(links_of(SQUARE)), robot.replace("0.1 -0.2", "0.9 0.9")))
+    assert scene.start[:2] == pytest.approx((0, 0)) and "place is not the start" in caplog.text
     assert scenes.load(f"{path}@0.3,-0.1,90").start == pytest.approx((0.3, -0.1, math.pi / 2))
     with pytest.raises(SceneError, match=r"start \(5.0, 0.0\) is outside the room"):
         scenes.load(f"{path}@5,0,0")
@@ -247,16 +262,18 @@ def test_a_link_may_have_several_collisions_each_with_its_place_and_material():
 @pytest.mark.parametrize("old, new, words", [
     (GOOD, "<!DOCTYPE a [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><a>&a;</a>", "it has a DOCTYPE"),
     (GOOD, "<robot/>", "it is a 'robot' with 1 worlds; it must be an 'sdf' with one world or a"),
-    (GOOD, "<sdf><world/></sdf>", "no link has a box or cylinder that the robot can"),
+    (GOOD, "<sdf><world/></sdf>", "no link has a solid that the robot can collide with"),
     (GOOD, "define sicklaser ranger ( )", "it is not XML; it must be a Gazebo world or model"),
     ("<light", "<include><uri>model://../x</uri></include><light", "it includes 'model://../x'"),
     ("</world>", model(links_of(SQUARE * 128), name="b") + "</world>", "it has 517 boxes; it must"),
     ("<pose>0.6 0.6 0 0", "<pose>x 0.6 0 0", "the pose of 'Wall_4' is 'x 0.6 0 0 -0 0'; it must"),
     ("<pose>0.6 0.6 0 0", "<pose>0.6 0.6 0 0.1", "'Wall_4' of 'room' is tilted; it must be"),
+    ("<pose>0 0 0.3", "<pose relative_to='__model__'>0 0 0.3", "relative to '__model__'; it must"),
+    ("<pose>0.6 0.6 0 0", "<pose relative_to='Wall_4'>0 0 0 0", "placed relative to another"),
     ("<pose>0.6", "<pose relative_to='a'>0.6", "a pose is relative to 'a'; it must be a link"),
-    (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "size is (0.3, 0.3, -0.6); all of it must be above 0"),
+    (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "size is (0.3, 0.3, -0.6); all of it must be at least 0"),
     ("<pose>0.6 0.6 0 0", "<pose>60 0.6 0 0", "the boxes extend over 61.25 m; it must be at most"),
-    ("<box><size>0.3 0.3 0.6</size></box>", "<mesh/>", "is a 'mesh'; it must be one box or")])
+    ("<box><size>0.3 0.3 0.6</size></box>", "<mesh/>", "is a 'mesh'; it must be one box")])
 def test_a_world_that_is_not_a_room_gives_one_sentence(old, new, words):
     assert old in GOOD
     with pytest.raises(SceneError, match=re.escape(words)) as error:

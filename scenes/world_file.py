@@ -1,9 +1,10 @@
 """Loads Gazebo worlds and models: the solids of an SDF file such as the released simulator's
-`env5.world` become the boxes of a room. A solid is a box or cylinder of a link that the robot can
-collide with. A pose in <state> overrides the others, as in Gazebo. If a link occurs twice, the last
-one counts. A robot is left out, and its place is the start. Poses are matrices (4, 4)."""
+`env5.world` become the boxes of a room. A solid is a box, cylinder or sphere of a link that the
+robot can collide with. A pose in <state> overrides the others, as in Gazebo. If a link occurs
+twice, the last one counts. A robot is left out; its place is the start. Poses are (4, 4)."""
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,7 +20,7 @@ from sim import CAMERA_HEIGHT, Box, SceneError, wrap_angle
 MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # any other or none: wall
 WITHOUT_WALLS = ("sun", "ground_plane")  # ends of the names of Gazebo models to leave out
 IN_MODEL = ("link", "frame", "model", "joint")  # elements that a pose can be relative to
-ROBOT_PARTS = ("wheel", "base_link", "base_footprint")  # in names of a robot's links and joints
+BASES = ("base_link", "base_footprint")  # a robot's link, if it has joints that turn
 DRIVES = ("diff_drive", "diffdrive", "skid_steer", "planar_move", "ackermann", "mecanum")  # plugins
 DEEPEST = 8  # models in models, our choice
 UPRIGHT = math.radians(1.2)  # [rad] tilts below this count as 0, our choice
@@ -33,7 +34,7 @@ CORNER = 2 / (1 + math.cos(math.pi / 10))  # [radii] distance of its corners fro
 
 @dataclass
 class Solid:
-    """A collision box or cylinder, upright, at its place in the world [m, rad]."""
+    """A collision box, cylinder or sphere, upright, at its place in the world [m, rad]."""
     what: str  # its name in messages
     material: str
     x: float
@@ -47,7 +48,7 @@ class Solid:
 
     @property
     def boxes(self):
-        """The Boxes that it consists of, from the floor up: several for a cylinder."""
+        """The Boxes that it consists of, from the floor up: several if it is round."""
         length, thickness = self.length, self.thickness
         turns = [0.0]
         if self.is_round:
@@ -69,27 +70,17 @@ def boxes_of(text, folder=None, start=None):
     [world] = worlds
     check(world.find(".//population") is None, "it has a population, whose places are random")
     expand(world, folder)
-    deleted = [name.text for name in world.iterfind("state/deletions/name")]
-    models = [model for model in [*world.findall("model"), *world.findall("state/insertions/model")]
-              if model.get("name") not in deleted]
     for actor in world.iterfind("actor"):
         remarks.warning("actor %s is left out", shown(actor.get("name")))
+    deleted = [name.text for name in world.iterfind("state/deletions/name")]
     states = {state.get("name"): state for state in world.iterfind("state/model")}
     solids = []
-    for model in models:
-        place = pose_in(world, model)
-        state = states.get(model.get("name"))
-        name = shown(model.get("name"))
-        if is_robot(model):
-            place = stated(state, place)
-            robot = (*place[:2, 3].tolist(), math.atan2(place[1, 0], place[0, 0]))
-            remarks.warning("model %s is a robot and is left out", name)
-            start = start or robot
-            continue
-        if model.find("plugin") is not None:
-            remarks.warning("model %s has a plugin, which may move it: here it stands still", name)
-        solids += solids_of_model(model, place, state)
-    return in_the_way(solids), start
+    robots = []
+    for model in [*world.findall("model"), *world.findall("state/insertions/model")]:
+        name = model.get("name")
+        if name not in deleted:
+            solids += solids_of_model(model, pose_in(world, model), states.get(name), robots)
+    return in_the_way(solids), start or (robots[0] if robots else None)
 
 
 def read_xml(text):
@@ -99,15 +90,14 @@ def read_xml(text):
           "it is not XML; it must be a Gazebo world or model (a world of Stage is neither)")
     builder = ElementTree.TreeBuilder()
     parser = expat.ParserCreate()
-    parser.buffer_text = True
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
     parser.StartDoctypeDeclHandler = refuse_doctype
-    declaration = text.find("<?xml")  # a comment may precede it
-    end = text.find("?>", declaration) + 2 if declaration >= 0 else 0
+    # Unlike XML, Gazebo accepts a comment before the declaration. Lines keep their numbers.
+    text = re.sub("<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.S)
     try:
-        parser.Parse(text[end:], True)  # decoded text: its encoding declaration does not matter
+        parser.Parse(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.S), True)
     except expat.ExpatError as error:
         raise SceneError(f"it is not valid XML: {error}") from None
     return builder.close()
@@ -134,37 +124,47 @@ def included(include, folder):
     name = uri.rstrip("/").split("/")[-1]
     if name.lower().replace(" ", "_").endswith(WITHOUT_WALLS):
         return ElementTree.Element("model")
+    if uri.startswith("model://"):
+        name = uri.removeprefix("model://").strip("/")  # it may be in another model's folder
     path = (folder or Path()) / ".." / "models" / name / "model.sdf"
-    is_name = name.strip(".") and Path(name).name == name  # not another folder, such as '..'
+    is_name = all(part.strip(".") and Path(part).name == part for part in name.split("/"))
     check(folder is not None and is_name and path.is_file(),
           f"it includes {shown(uri)}; that must be '../models/{name}/model.sdf' beside its file")
     model = read_xml(path.read_text("utf-8-sig")).find("model")
     check(model is not None, f"'../models/{name}/model.sdf' has no model")
     model.set("name", include.findtext("name", model.get("name", name)).strip())
-    if include.find("placement_frame") is not None:
-        model.set("placement_frame", include.findtext("placement_frame").strip())
-    if include.find("pose") is not None:
-        for pose in model.findall("pose"):
-            model.remove(pose)
-        model.append(include.find("pose"))
+    for tag in ("pose", "static", "placement_frame"):
+        if include.find(tag) is not None:
+            for own in model.findall(tag):
+                model.remove(own)
+            model.append(include.find(tag))
     return model
 
 
 def is_robot(model):
-    """Returns whether a model can move and has a drive or parts named as those of robots."""
-    names = [part.get("name", "").lower() for part in model.iter() if part.tag in ("link", "joint")]
+    """Returns whether a model can move and has wheels, a drive, or a robot's base and joints. Other
+    models in it do not count."""
+    names = [part.get("name", "").lower() for part in model if part.tag in ("link", "joint")]
     plugins = [(plugin.get("filename", "") + plugin.get("name", "")).lower()
-               for plugin in model.iter("plugin")]
+               for plugin in model.findall("plugin")]
+    turns = any(joint.get("type") != "fixed" for joint in model.findall("joint"))
     return model.findtext("static", "").strip() not in ("1", "true") and (
-        any(part in name for name in names for part in ROBOT_PARTS)
+        any("wheel" in name or turns and name in BASES for name in names)
         or any(drive in plugin for plugin in plugins for drive in DRIVES))
 
 
-def solids_of_model(model, place, state):
+def solids_of_model(model, place, state, robots):
     """Returns a list of the Solids of a model and of the models in it. place: its pose in the
-    world. state: its <model> in <state>, or None."""
+    world. state: its <model> in <state>, or None. robots: a list to which the poses (x, y, heading)
+    of robots are added; they have no Solids."""
     name = shown(model.get("name"))
     place = stated(state, place)
+    if is_robot(model):
+        remarks.warning("model %s is a robot and is left out", name)
+        robots.append((*place[:2, 3].tolist(), math.atan2(place[1, 0], place[0, 0])))
+        return []
+    if model.find("plugin") is not None:
+        remarks.warning("model %s has a plugin, which may move it: here it stands still", name)
     scale = (1.0, 1.0, 1.0)
     moved = {}
     inner = {}
@@ -181,7 +181,7 @@ def solids_of_model(model, place, state):
             solids += solids_of_link(link, link_place, scale, what)
     for other in model.iterfind("model"):
         solids += solids_of_model(other, place @ pose_in(model, other),
-                                  inner.get(other.get("name")))
+                                  inner.get(other.get("name")), robots)
     return solids
 
 
@@ -196,43 +196,47 @@ def solids_of_link(link, place, scale, what):
         tags = [shape.tag for shape in shapes]
         if tags in ([], ["empty"], ["plane"]) or is_permeable(collision):
             continue
-        check(tags in (["box"], ["cylinder"]),
-              f"{what} is a {shown(' and a '.join(tags))}; it must be one box or cylinder")
+        check(tags in (["box"], ["cylinder"], ["sphere"]),
+              f"{what} is a {shown(' and a '.join(tags))}; it must be one box, cylinder or sphere")
         if tags == ["box"]:
             size = read_numbers(shapes[0].findtext("size"), 3, f"{what}.size")
         else:
-            radius, height = [read_numbers(shapes[0].findtext(key), 1, f"{what}.{key}")[0]
-                              for key in ("radius", "length")]
+            [radius] = read_numbers(shapes[0].findtext("radius"), 1, f"{what}.radius")
+            height = 2 * radius
+            if tags == ["cylinder"]:
+                [height] = read_numbers(shapes[0].findtext("length"), 1, f"{what}.length")
             size = (2 * radius, 2 * radius, height)
         size = tuple(np.multiply(size, scale).tolist())
-        check(min(size) > 0, f"{what}.size is {size}; all of it must be above 0")
+        check(min(size) >= 0, f"{what}.size is {size}; all of it must be at least 0")
         pose = place @ pose_in(link, collision)
+        if tags == ["sphere"]:
+            pose[:3, :3] = np.eye(3)  # it has no orientation
+        if min(size) == 0 or pose[2, 3] - np.abs(pose[2, :3]) @ size / 2 >= OVERHEAD:
+            continue  # nothing, or above the robot however it is tilted
         axis = np.abs(pose[2, :3]).argmax()  # the vertical one of the solid's own axes
         tilt = math.acos(min(abs(pose[2, axis]), 1.0))
-        check(tilt < UPRIGHT and (tags == ["box"] or axis == 2),
+        check(tilt < UPRIGHT and (tags != ["cylinder"] or axis == 2),
               f"{what} is tilted; it must be upright, within {math.degrees(UPRIGHT):.1f} degrees")
         along, across = (axis + 1) % 3, (axis + 2) % 3
         x, y, z = pose[:3, 3].tolist()
         yaw = math.atan2(pose[1, along], pose[0, along])
         solids.append(Solid(what, materials[min(k, len(materials) - 1)], x, y, yaw, size[along],
                             size[across], z - size[axis] / 2, z + size[axis] / 2,
-                            tags == ["cylinder"]))
+                            tags != ["box"]))
     return solids
 
 
 def is_permeable(collision):
     """Returns whether the robot can drive through a collision."""
-    contact = collision.find("surface/contact")
-    if contact is None:
-        return False
-    only_felt = contact.findtext("collide_without_contact", "").strip() in ("1", "true")
-    return only_felt or contact.findtext("collide_bitmask", "1").strip() in ("0", "0x0", "0x00")
+    contact = "surface/contact/collide_"
+    only_felt = collision.findtext(f"{contact}without_contact", "").strip() in ("1", "true")
+    return only_felt or collision.findtext(f"{contact}bitmask", "1").strip() in ("0", "0x0", "0x00")
 
 
 def in_the_way(solids):
     """Returns the Boxes of all Solids that the robot can collide with."""
     solids = [solid for solid in solids if solid.bottom < OVERHEAD and solid.top > ON_FLOOR]
-    check(solids, "no link has a box or cylinder that the robot can collide with")
+    check(solids, "no link has a solid that the robot can collide with")
     low, high = as_scene([box for solid in solids for box in solid.boxes]).bounds
     most = np.prod(high - low) / 2  # a low solid with more area is a floor
     solids = [solid for solid in solids
@@ -251,9 +255,11 @@ def pose_in(parent, element):
     base = element.get("attached_to", "")
     if pose is not None:
         base = pose.get("relative_to") or pose.get("frame") or base
-    if base not in ("", "world", "__model__"):
+    if element.tag == "joint" and not base:
+        base = element.findtext("child", "").strip()
+    if base not in ("", "world", "__model__") or (base and parent.tag == "link"):
         own = pose_in(parent, named(parent, base)) @ own
-    placed = element.get("placement_frame")
+    placed = element.get("placement_frame") or element.findtext("placement_frame", "").strip()
     if placed:  # the pose is not that of the model, but of a part of it
         own = own @ np.linalg.inv(pose_in(element, named(element, placed)))
     return own
@@ -262,8 +268,8 @@ def pose_in(parent, element):
 def named(parent, name):
     """Returns the last element in a world or model that has a name and that poses can refer to."""
     found = [child for child in parent if child.tag in IN_MODEL and child.get("name") == name]
-    check(found and found[-1].tag != "joint", f"a pose is relative to {shown(name)}; it must be a "
-          "link, frame or model beside it")
+    check(found, f"a pose is relative to {shown(name)}; it must be a link, frame, joint or model "
+                 "beside it")
     return found[-1]
 
 
