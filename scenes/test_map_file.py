@@ -48,12 +48,16 @@ def draw(folder, room=ROOM, turn=0.0, negate=0, **changed):
 
 
 def test_unknown_cells_are_occupied_also_in_maps_saved_by_ros_2(tmp_path):
-    """Their free_thresh is above the value of unknown cells. 5e-2 is not a number in YAML."""
-    path = draw(tmp_path, resolution="5e-2", image="/home/anna/map.pgm")
+    """Their free_thresh is above the value of unknown cells. The room has an unknown place in it."""
+    place = ROOM.reachable[len(ROOM.reachable) // 2]
+    hole = scenes.Box("wall", *place.tolist(), 0.0, 0.3, 0.3, 1.0)
+    path = draw(tmp_path, replace(ROOM, boxes=(*ROOM.boxes, hole)), image="/home/anna/map.pgm")
     expected = scenes.load(path)
-    path.write_text(path.read_text().replace("0.196", "0.25"))
-    assert scenes.load(path) == expected and (expected.bounds[0] > ROOM.bounds[0] - 0.2).all()
     grey = np.array(Image.open(tmp_path / "map.pgm"))
+    grey[grey == 0] = UNKNOWN
+    Image.fromarray(grey).save(tmp_path / "map.pgm")
+    path.write_text(path.read_text().replace("0.196", "0.25"))
+    assert scenes.load(path) == expected and expected.clearance(place) < 0
     Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "map.png")
     path.write_text(path.read_text().replace("map.pgm", "map.png"))
     assert scenes.load(path) == expected
@@ -106,6 +110,7 @@ def test_cells_are_merged_if_a_map_has_too_many_details(tmp_path, caplog):
     ({"image": "none.pgm"}, "image 'none.pgm' cannot be used: No such file"),
     ({"image": "map.yaml"}, "image 'map.yaml' cannot be used: unknown format"),
     ({"resolution": 0}, "resolution is 0.0; it must be a number from 0.001"),
+    ({"resolution": "!!int ''"}, "resolution is ''; it must be a number from 0.001"),
     ({"origin": "[0, 0]"}, "origin is [0.0, 0.0]; it must be a list of 3 numbers"),
     ({"negate": "0\nmode: raw"}, "mode is 'raw'; it must be one of trinary, scale"),
     ({"negate": "0: 1"}, "it is not valid YAML"),

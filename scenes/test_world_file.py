@@ -198,10 +198,11 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
     (tmp_path / "models" / "shelf").mkdir()
     (tmp_path / "models" / "crate" / "model.sdf").write_text(
         "<sdf><model name='c'><pose>9 9 9 0 0 0</pose><frame name='f'><pose>8.9 0.1 0 0 0 0</pose>"
-        f"</frame><link>{BOX}</link></model></sdf>")
+        f"</frame><link name='wheel'>{BOX}</link></model></sdf>")
     (tmp_path / "models" / "shelf" / "model.sdf").write_text(
         "<sdf version='1.6'><model name='s'><include><uri>model://crate</uri>"
-        "<pose>9 0.1 0 0 0 0</pose><placement_frame>f</placement_frame></include></model></sdf>")
+        "<pose>9 0.1 0 0 0 0</pose><placement_frame>f</placement_frame><static>1</static>"
+        "</include></model></sdf>")
     includes = "".join(f"<include><uri>{uri}</uri><pose>0.2 0.2 0.3 0 0 0</pose></include>"
                        for uri in ("model://my/ground_plane", "model://shelf",
                                    "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Sun"))
