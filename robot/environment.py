@@ -85,7 +85,7 @@ class RealVecEnv(NavVecEnv):
         by the ring, changed by the wheels. Without errors it is exactly the command."""
         self.asked = super().command(actions)
         if self.has_ring:
-            refused = ring.is_blocked(ring.listen(self.world), self.asked) & (self.asked[:, 0] > 0)
+            refused = ring.is_blocked(self.ranges(), self.asked) & (self.asked[:, 0] > 0)
             self.stops += refused
             self.asked[refused, 0] = 0
         v, w = self.asked.T
@@ -93,6 +93,10 @@ class RealVecEnv(NavVecEnv):
         mean = (left + right) / 2
         apart = (right - left) / WHEELBASE
         return np.stack([v * mean + w * apart * (WHEELBASE / 2) ** 2, w * mean + v * apart], -1)
+
+    def ranges(self):
+        """Returns the readings (R, SENSORS) [m] of the ring, whether or not it stops the robot."""
+        return ring.listen(self.world)
 
     def drive(self, commands):
         """Drives all robots for one control period. Returns (R,) bool: True for robots that have

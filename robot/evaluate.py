@@ -1,5 +1,6 @@
 """Evaluation with a robot's errors: `python -m robot.evaluate pretrained/lab.safetensors --ring`
-does what `python -m evaluation` does, in an environment with the errors of the room."""
+does what `python -m evaluation` does, in an environment with the errors of the room, and
+`--simulator mujoco` in a simulator that is not ours."""
 
 from dataclasses import dataclass
 
@@ -12,9 +13,16 @@ from support.cli import option
 class Options(evaluation.Options):
     """An evaluation with a robot's errors."""
     ring: bool = option(False, "ultrasonic sensors stop the robot")
+    simulator: str = option("ours", "simulator to drive in", choices=("ours", "mujoco"))
 
     def environment(self, scenes):
-        return environment_of(scenes, self.ring), "-ring" if self.ring else ""
+        suffix = "-ring" if self.ring else ""
+        if self.simulator == "ours":
+            return environment_of(scenes, self.ring), suffix
+        from robot import mujoco_robot  # loads MuJoCo
+        mujoco_robot.check_installed()
+        kinds = mujoco_robot.MujocoVecEnv, mujoco_robot.MujocoRingVecEnv
+        return kinds[self.ring], f"{suffix}-mujoco"
 
 
 def main(argv=None):

@@ -1,9 +1,8 @@
-"""The lab as a Robot: one robot in the simulated real room, with the interface of a real one."""
+"""A simulation as a Robot: one robot with the interface of a real one, in the lab or in MuJoCo."""
 
 import numpy as np
 
 from navbot_min import MAX_COMMAND
-from robot import ring
 from robot.environment import RealVecEnv
 from robot.robot import Stamped
 from sim import CONTROL_PERIOD
@@ -13,9 +12,10 @@ class LabRobot:
     """A Robot that drives in a Scene. Its clock runs only in `sleep_until`. After an arrival or a
     collision, by its true pose, it stands still and repeats its last measurements."""
 
-    def __init__(self, scene, target, seed=0):
-        """target: an index into `scene.targets`, the position of the cube."""
-        self.env = RealVecEnv(1, [scene], "both", max_episode_steps=-1)
+    def __init__(self, scene, target, seed=0, environment=RealVecEnv):
+        """target: an index into `scene.targets`, the position of the cube. environment: RealVecEnv
+        or robot.mujoco_robot.MujocoVecEnv."""
+        self.env = environment(1, [scene], "both", max_episode_steps=-1)
         seen, _ = self.env.reset(seed=seed, options={"target": target})
         self.goal = self.env.goals[0].copy()
         self.outcome = ""  # "arrival" or "collision", by the true pose
@@ -29,7 +29,7 @@ class LabRobot:
         age = 0
         if not self.outcome:  # otherwise the world already holds the next episode
             age = CONTROL_PERIOD * (self.env.is_late[0] and self._periods > 0)
-            [self._readings] = ring.listen(self.env.world)
+            [self._readings] = self.env.ranges()
         self._image = Stamped(image.copy(), self.now() - age)
         self._odometry = Stamped(np.array(estimate), self.now())
 

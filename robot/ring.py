@@ -18,10 +18,11 @@ BESIDE = 0.02  # [m] margin around the robot's disc, because readings may be noi
 MOMENTS = np.linspace(0, CONTROL_PERIOD + LONGER, 9)  # (P,) [s] times at which the path is checked
 
 
-def listen(world):
-    """Returns the range readings (R, S) [m] in a sim.World, from the rim; NaN if too close."""
+def listen(world, measure=range_readings):
+    """Returns the range readings (R, S) [m] in a world, from the rim; NaN if too close. measure:
+    the function that measures along rays; this one needs a sim.World."""
     rays = (ANGLES[:, None] + RAYS).ravel()
-    exact = range_readings(world, rays, RANGE + ROBOT_RADIUS)  # (R, S * 3)
+    exact = measure(world, rays, RANGE + ROBOT_RADIUS)  # (R, S * 3)
     nearest = exact.reshape(len(exact), SENSORS, len(RAYS)).min(2) - ROBOT_RADIUS
     return np.where(nearest < BLIND, np.nan, nearest)
 

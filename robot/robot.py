@@ -1,7 +1,7 @@
 """The interface of a real robot, and the loop in which a policy drives it. Between policy and
 wheels, the ring refuses forward motion if the path may be blocked, and the watchdog stops the
-wheels while a measurement is missing or old. Two implementations: robot/lab.py (simulated) and
-robot/ros_adapter.py (ROS 2)."""
+wheels while a measurement is missing or old. Implementations: robot/lab.py (our simulation or
+MuJoCo) and robot/ros_adapter.py (ROS 2)."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol

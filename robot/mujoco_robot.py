@@ -1,0 +1,254 @@
+"""The task in MuJoCo, a simulator that is not ours: a Kobuki with two driven wheels in a Scene. Its
+motion, contacts, images and range readings come from MuJoCo, its odometry from its wheels.
+
+Axis letters: R robots, S rays, T physics steps in a control period, H = 48 and W = 64 image rows
+and columns.
+"""
+
+import functools
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from render import ABOVE, FOCAL, H, W
+from robot import ring
+from robot.environment import WHEELBASE, RealVecEnv
+from sim import CONTROL_PERIOD, wrap_angle
+from support.checks import refuse_reality
+from support.runs import RunError
+from support.textures import BLUE, FLOOR, PERIOD, SKY, SUN, TEXEL, texture
+
+if not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # how MuJoCo renders; read when it is imported
+try:
+    import mujoco
+except ImportError:
+    mujoco = None
+
+KOBUKI = Path(__file__).with_name("kobuki.xml")  # the robot, with the sources of its dimensions
+WHEEL_RADIUS = 0.035  # [m] as in kobuki.xml
+STEPS = round(CONTROL_PERIOD / 0.005)  # T, with the time step [s] of kobuki.xml
+RAY_HEIGHT = 0.1  # [m] of the range sensors above the floor, our choice
+POSE = [0, 1, 3]  # indices of x, y [m] and heading [rad] among the joint positions
+WHEELS = [6, 7]  # indices of the angles [rad] of the left and the right wheel
+SHOWN = 0  # group of geoms that images show
+WALLS = 3  # group of geoms that robots and rays meet
+
+
+@functools.cache
+def check_installed():
+    """Raises RunError if MuJoCo or the library with which it renders is missing."""
+    if mujoco is None:
+        raise RunError("MuJoCo is missing: pip install -r robot/requirements.txt")
+    try:
+        mujoco.GLContext(W, H).free()
+    except Exception as error:  # each library raises its own
+        raise RunError("MuJoCo cannot render without a display: apt install libegl1 "
+                       f"libgl1-mesa-dri ({type(error).__name__})") from None
+
+
+@functools.lru_cache(maxsize=128)
+def compiled(scene):
+    """Returns the MjModel of a Scene with one robot."""
+    spec = mujoco.MjSpec.from_file(str(KOBUKI))
+    spec.camera("camera").fovy = 2 * math.degrees(math.atan(H / 2 / FOCAL))
+    # As bright as in `support.textures.light`: MuJoCo, too, limits the sum to 1.
+    spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=-SUN,
+                             castshadow=False, ambient=(0.5, 0.5, 0.5), diffuse=(1, 1, 1),
+                             specular=(0, 0, 0))
+    spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=8, height=48,
+                     builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=np.divide(SKY, 255))
+    for name, colour in (("floor", FLOOR), ("cube", BLUE)):
+        add_material(spec, name, np.full((1, 1, 3), colour))
+        spec.geom(name).material = name
+    for material in {box.material for box in scene.boxes}:
+        add_material(spec, material, texture(material, ABOVE))
+    for b, box in enumerate(scene.boxes):
+        place = {"pos": (box.x, box.y, box.height / 2),
+                 "quat": (math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2))}
+        half = box.length / 2, box.thickness / 2, box.height / 2
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=1, group=WALLS,
+                                **place)
+        # On a box geom MuJoCo would squeeze the texture of the narrow sides: images show meshes.
+        points, texels, triangles = sides(box)
+        spec.add_mesh(name=f"sides{b}", uservert=points.ravel(), usertexcoord=texels.ravel(),
+                      userface=triangles.ravel(),
+                      inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"sides{b}",
+                                material=box.material, group=SHOWN, **place)
+    return spec.compile()
+
+
+def add_material(spec, name, colours):
+    """Adds a material to an MjSpec. colours: (width, height, 3) in [0, 255], from below."""
+    width, height, _ = colours.shape
+    pixels = colours.swapaxes(0, 1).clip(0, 255).round().astype(int)
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height,
+                     data=pixels.ravel().tolist())
+    material = spec.add_material(name=name, specular=0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def sides(box):
+    """Returns the mesh of the four sides of a Box around its centre: corners (16, 3) [m], their
+    places in the texture (16, 2), triangles (8, 3). From the left end of each side, as seen from
+    outside, the texture repeats every PERIOD texels, as in `render`."""
+    corners = replace(box, x=0.0, y=0.0, yaw=0.0).corners
+    foot = -box.height / 2
+    top = box.height / 2
+    highest = box.height / TEXEL / ABOVE
+    points = []
+    texels = []
+    for p, q in zip(corners, np.roll(corners, -1, axis=0)):
+        length = np.hypot(*(q - p)) / TEXEL / PERIOD
+        points += [(*p, foot), (*q, foot), (*q, top), (*p, top)]
+        texels += [(0, 0), (length, 0), (length, highest), (0, highest)]
+    triangles = [np.add([(0, 1, 2), (0, 2, 3)], 4 * side) for side in range(4)]
+    return np.array(points), np.array(texels), np.concatenate(triangles)
+
+
+class MujocoWorld:
+    """R robots; robot r drives in `scenes[r]`. It has the interface of `sim.World`."""
+
+    def __init__(self, scenes):
+        """scenes: R Scenes, one per robot. Robots start at the start poses of their scenes."""
+        self.scenes = list(scenes)
+        self.models = [compiled(scene) for scene in self.scenes]
+        self.data = [mujoco.MjData(model) for model in self.models]
+        self.wheels = np.zeros((len(self.scenes), STEPS + 1, 2))  # [rad] angles in the last period
+        self.place(slice(None), [scene.start for scene in self.scenes])
+
+    def set_scene(self, r, scene):
+        """Puts robot r at the start pose of another Scene."""
+        self.scenes[r] = scene
+        self.models[r] = compiled(scene)
+        self.data[r] = mujoco.MjData(self.models[r])
+        self.place(r, [scene.start])
+
+    @property
+    def poses(self):
+        """The true poses (R, 3)."""
+        poses = np.array([data.qpos[POSE] for data in self.data])
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        return poses
+
+    def place(self, robots, poses):
+        """Puts robots (indices or a slice) at poses (n, 3), standing still."""
+        chosen = np.arange(len(self.data))[robots]
+        for r, pose in zip(np.atleast_1d(chosen), np.atleast_2d(poses)):
+            mujoco.mj_resetData(self.models[r], self.data[r])
+            self.data[r].qpos[POSE] = pose
+            mujoco.mj_forward(self.models[r], self.data[r])
+
+    def drive(self, commands):
+        """Drives every robot for CONTROL_PERIOD. Returns (R,) bool: True for robots that touched a
+        wall. Such a robot stops there for the rest of the period.
+
+        commands: (R, 2), linear [m/s] and angular [rad/s] velocity, for the servos of the wheels.
+        """
+        v, w = np.array(commands, dtype=float).T
+        speeds = np.stack([v - w * WHEELBASE / 2, v + w * WHEELBASE / 2], -1) / WHEEL_RADIUS
+        hit = np.zeros(len(v), dtype=bool)
+        for r, (model, data) in enumerate(zip(self.models, self.data)):
+            data.ctrl[:] = speeds[r]
+            body = model.geom("body").id
+            self.wheels[r] = data.qpos[WHEELS]
+            for t in range(1, STEPS + 1):
+                mujoco.mj_step(model, data)
+                self.wheels[r, t:] = data.qpos[WHEELS]
+                if (data.contact.geom == body).any():
+                    hit[r] = True
+                    data.qvel[:] = 0
+                    break
+        return hit
+
+    def odometry(self, estimates):
+        """Returns the poses (R, 3) by odometry after the last period, from those before it: each
+        physics step is an arc whose length and turn are those of the wheels."""
+        left, right = np.moveaxis(np.diff(self.wheels, axis=1), -1, 0) * WHEEL_RADIUS  # (R, T) [m]
+        turn = (right - left) / WHEELBASE
+        heading = estimates[:, 2:] + np.cumsum(turn, axis=1)
+        ahead = (left + right) / 2
+        x = estimates[:, 0] + (ahead * np.cos(heading - turn / 2)).sum(1)
+        y = estimates[:, 1] + (ahead * np.sin(heading - turn / 2)).sum(1)
+        return np.stack([x, y, wrap_angle(heading[:, -1])], -1)
+
+    def range_readings(self, angles, max_range):
+        """Returns the distances (R, S) [m] from the robots' centres to the first wall, at most
+        max_range [m], along rays at angles (S,) [rad] from their headings."""
+        readings = np.empty((len(self.data), len(angles)))
+        hits = np.empty(len(angles), np.int32)
+        groups = np.arange(mujoco.mjNGROUP) == WALLS
+        for r, pose in enumerate(self.poses):
+            headings = pose[2] + np.asarray(angles)
+            rays = np.stack([np.cos(headings), np.sin(headings), 0 * headings], -1)
+            mujoco.mj_multiRay(self.models[r], self.data[r], (*pose[:2], RAY_HEIGHT), rays.ravel(),
+                               groups, True, -1, hits, readings[r], None, len(angles), max_range)
+        return np.where(readings < 0, max_range, np.minimum(readings, max_range))  # -1: no wall
+
+
+class MujocoCamera:
+    """Renders the robots' images. It has the interface of `render.Camera`."""
+
+    def __init__(self, scenes, world=None):
+        """scenes: a list of Scenes, which the caller may change; `render` takes indices. world: if
+        given, camera i is tilted like robot i of this MujocoWorld; otherwise it is level."""
+        self.scenes = scenes
+        self.world = world
+        self._views = {}  # Scene -> its MjModel, MjData and Renderer
+
+    def set_scene(self, i, scene):
+        """Replaces scene number i by another Scene, which the caller has put into the list."""
+
+    def render(self, scene_of, poses, targets):
+        """Returns images (R, H, W, 3) uint8 RGB from poses (R, 3) in scenes (R,), given by index,
+        with target cubes at (R, 2) [m]."""
+        images = np.empty((len(poses), H, W, 3), np.uint8)
+        for image, i, pose, target in zip(images, scene_of, poses, targets):
+            model, data, renderer = self._view(self.scenes[i])
+            if self.world is not None:
+                data.qpos[:] = self.world.data[i].qpos
+            data.qpos[POSE] = pose
+            data.mocap_pos[0, :2] = target
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            renderer.update_scene(data, "camera")
+            renderer.render(out=image)
+        return images
+
+    def _view(self, scene):
+        """Returns the MjModel, MjData and Renderer of a Scene, made on first use."""
+        if scene not in self._views:
+            model = compiled(scene)
+            self._views[scene] = model, mujoco.MjData(model), mujoco.Renderer(model, H, W)
+        return self._views[scene]
+
+
+class MujocoVecEnv(RealVecEnv):
+    """RealVecEnv in MuJoCo. Rooms with a robot's errors are refused: MuJoCo has its own."""
+
+    def __init__(self, *args, **options):
+        """Takes the arguments of NavVecEnv. Raises RunError."""
+        check_installed()
+        super().__init__(*args, **options)
+        self.world = MujocoWorld(self.scenes)
+        self.scenes = self.world.scenes
+        self.camera = MujocoCamera(self.scenes, self.world)
+
+    @staticmethod
+    def check_rooms(scenes):
+        refuse_reality(scenes)
+
+    def ranges(self):
+        return ring.listen(self.world, MujocoWorld.range_readings)
+
+    def _odometry(self, poses):
+        return self.world.odometry(self.estimates)
+
+
+class MujocoRingVecEnv(MujocoVecEnv):
+    """MujocoVecEnv with the ring of ultrasonic sensors, which stops the robot."""
+    has_ring = True

@@ -1,0 +1,148 @@
+"""Tests of the robot in MuJoCo. Without MuJoCo or EGL they are skipped, except in CI."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+
+import scenes
+from render import CAMERA_OFFSET, CUBE_SIZE, FAR, NEAR, Camera
+from robot import mujoco_robot
+from robot.environment import WHEELBASE
+from robot.lab import LabRobot
+from robot.mujoco_robot import (STEPS, WHEEL_RADIUS, MujocoCamera, MujocoRingVecEnv, MujocoVecEnv,
+                                MujocoWorld, compiled)
+from robot.robot import drive
+from scenes.generate import range_readings, walls
+from sim import CAMERA_HEIGHT, CONTROL_PERIOD, ROBOT_RADIUS, Scene, wrap_angle
+from support.runs import RunError
+
+ROOT = Path(__file__).parent.parent
+FLOOR = Scene("floor", tuple(walls(12.0, 12.0)), (0.0, 0.0, 0.0), ((3.0, 0.0),), ())
+ROOMS = [scenes.load(name) for name in ("env1", "env2", "maze0", "maze4")]
+
+
+@pytest.fixture(autouse=True)
+def installed():
+    try:
+        mujoco_robot.check_installed()
+    except RunError as error:
+        if "CI" in os.environ:
+            pytest.fail(str(error))
+        pytest.skip(str(error))
+
+
+def views(scene, n):
+    """Returns reachable poses (n, 3) of a scene, and reachable targets (n, 2) ahead of them."""
+    rng = np.random.default_rng(n)
+    places = scene.reachable[rng.integers(len(scene.reachable), size=(2, n))]
+    headings = np.arctan2(*(places[1] - places[0]).T[::-1]) + rng.normal(0, 0.3, n)
+    return np.column_stack([places[0], wrap_angle(headings)]), places[1]
+
+
+def test_the_robot_has_the_dimensions_of_ours():
+    model = compiled(FLOOR)
+    assert model.geom("body").size[0] == ROBOT_RADIUS and model.geom("cube").size[0] * 2 == CUBE_SIZE
+    assert model.camera("camera").pos == pytest.approx([CAMERA_OFFSET, 0, CAMERA_HEIGHT])
+    assert (model.vis.map.znear, model.vis.map.zfar) == pytest.approx((NEAR, FAR))
+    assert model.geom("left").size[0] == WHEEL_RADIUS
+    assert np.ptp(model.body_pos[model.jnt_bodyid[mujoco_robot.WHEELS], 1]) == WHEELBASE
+    assert model.opt.timestep * STEPS == pytest.approx(CONTROL_PERIOD)
+
+
+def labels(images):
+    """Returns what the pixels of images (n, H, W, 3) show: floor 0, cube 1, wood 2, other walls 3."""
+    r, g, b = np.moveaxis(images.astype(int), -1, 0)
+    return np.select([(abs(r - b) < 2) & (abs(g - 118) < 2), b > 2 * r, (g > 1.7 * b)], [0, 1, 2], 3)
+
+
+@pytest.mark.parametrize("scene", ROOMS, ids=lambda scene: scene.name)
+def test_both_cameras_see_the_same_edges_within_two_pixels(scene):
+    poses, targets = views(scene, 40)
+    ours, theirs = [labels(camera.render(np.zeros(40, int), poses, targets))
+                    for camera in (Camera([scene]), MujocoCamera([scene]))]
+    for one, other in ((ours, theirs), (theirs, ours)):
+        around = sliding_window_view(np.pad(other, [(0, 0), (2, 2), (2, 2)], "edge"), (5, 5), (1, 2))
+        strange = (around != one[..., None, None]).all((-2, -1))
+        assert strange.mean() < 1e-4, [(k, strange[k].sum()) for k in np.unique(strange.nonzero()[0])]
+    assert all((ours == label).mean() > 0.005 for label in range(4))
+
+
+def test_straight_on_the_robot_drives_at_the_commanded_speed_after_a_lag():
+    world = MujocoWorld([FLOOR])
+    places = [0.0]
+    for _ in range(6):
+        assert not world.drive([(0.3, 0.0)]).any()
+        places.append(world.poses[0, 0])
+    steps = np.diff(places)
+    assert 0.6 < steps[0] / 0.12 < 0.9  # with a time constant of 0.1 s, three quarters
+    assert steps[2:] == pytest.approx(0.12, rel=0.01)
+
+
+def test_odometry_follows_the_true_pose_around_a_square():
+    world = MujocoWorld([FLOOR])
+    estimates = world.poses
+    errors = []
+    for _ in range(4):
+        for command in [(0.3, 0.0)] * 8 + [(0.0, np.pi / 4)] * 5:
+            world.drive([command])
+            estimates = world.odometry(estimates)
+            errors.append(np.abs(estimates - world.poses)[0])
+    assert np.max(errors, axis=0) == pytest.approx([0, 0, 0], abs=0.04)
+    assert np.hypot(*np.ptp([world.poses[0, :2], FLOOR.start[:2]], axis=0)) < 0.1
+
+
+@pytest.mark.parametrize("environment", [MujocoVecEnv, MujocoRingVecEnv])
+def test_a_full_speed_drive_into_a_wall_collides_unless_the_ring_stops_it(environment):
+    env = environment(1, ["env2"], "training")
+    env.reset(seed=0, options={"start": env.scenes[0].start, "target": 0})
+    for _ in range(60):
+        before = env.world.poses[0]
+        _, _, [terminated], _, infos = env.step(np.array([[1.0, 0.0]]))
+        if terminated:
+            break
+    outcome = env.outcomes[infos["final_info"]["outcome"][0]]
+    clearance = env.scenes[0].clearance(infos["pose"][0, :2]) - ROBOT_RADIUS
+    if environment is MujocoVecEnv:
+        assert outcome == "collision" and -0.002 < clearance < 0.002
+        assert np.hypot(*(infos["pose"][0] - before)[:2]) <= 0.12
+    else:
+        assert outcome == "standing" and 0.01 < clearance < 0.3
+
+
+def test_range_readings_are_those_of_the_boxes():
+    angles = np.linspace(-np.pi, np.pi, 31)
+    for scene in ROOMS:
+        poses, _ = views(scene, 20)
+        world = MujocoWorld([scene] * 20)
+        world.place(slice(None), poses)
+        assert world.poses == pytest.approx(poses)
+        assert world.range_readings(angles, 2.0) == pytest.approx(
+            range_readings(world, angles, 2.0), abs=1e-6)
+
+
+def test_a_scripted_policy_arrives_through_the_robot_interface():
+    def act(seen):
+        distance, bearing = seen["target"]
+        return np.array([float(abs(bearing) < 0.3), np.clip(2 * bearing, -1, 1)])
+
+    robot = LabRobot(FLOOR, target=0, environment=MujocoVecEnv)
+    log = drive(robot, SimpleNamespace(reset=list, act=act), robot.goal)
+    assert log.outcome == robot.outcome == "arrival" and log.stops == log.waits == 0
+    assert np.abs(robot.true_poses[-1] - log.poses[-1]).max() < 0.05
+
+
+@pytest.mark.parametrize("code, words", [
+    ("sys.modules['mujoco'] = None", "pip install -r robot/requirements.txt"),
+    ("os.environ |= {'MUJOCO_GL': 'egl', 'MUJOCO_EGL_DEVICE_ID': '99'}", "apt install libegl1")])
+def test_a_missing_package_is_one_sentence(code, words):
+    code = f"import os, sys; {code}; from robot import evaluate; evaluate.main(sys.argv[1:])"
+    arguments = "pretrained/env1.safetensors --simulator mujoco --episodes 1".split()
+    run = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, text=True,
+                         capture_output=True)
+    assert run.returncode == 2 and run.stderr.count("\n") == 1 and words in run.stderr
