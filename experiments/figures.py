@@ -18,6 +18,7 @@ from robot.environment import RealVecEnv
 from robot.lab import LabRobot
 from robot.appearance import DrawnCamera, LabCamera
 from robot.mapping import OccupancyGrid
+from robot.mujoco_robot import MujocoCamera, MujocoVecEnv
 from robot.policy import TorchPolicy
 from robot.robot import drive
 from scenes.generate import share_blocked, walls
@@ -29,6 +30,7 @@ from support.pictures import (PALETTE, SPACING, START, TOO_FEW, WIDTH, WINDOW, d
                               draw_robot, draw_room, draw_target, draw_trajectories, legend_below,
                               paint_floor, released_curve, target_handles)
 from support.rooms import validation_scenes
+from support.runs import RunError
 from support.weights import load_model
 
 ENVS = ("env1", "env2")
@@ -289,6 +291,29 @@ def draw_appearances():
     return figure
 
 
+VIEWS = {  # room -> a pose and the place of the cube, at which the images are taken
+    "env1": ((-1.6, -3.46, 2.86), (-3.4, -3.1)), "env2": (POSE, (-0.3, -2.35)),
+    "maze0": ((-1.35, -1.95, -2.7), (-2.65, -2.0)), "maze4": ((-2.4, -1.8, -1.6), (-2.5, -3.65))}
+
+
+def draw_mujoco():
+    """Draws pairs of images: the same pose in our simulation and in MuJoCo."""
+    figure, panels = page(3.4, 2, len(VIEWS))
+    for column, (name, (pose, cube)) in zip(panels.T, VIEWS.items()):
+        scene = [scenes.load(name)]
+        view = np.array([0]), np.array([pose]), np.array([cube])
+        draw_images(column, {f"{name}, ours": Camera(scene).render(*view)[0],
+                             f"{name}, MuJoCo": MujocoCamera(scene).render(*view)[0]})
+    return figure
+
+
+def film_mujoco():
+    """Returns an episode of the any-room policy in MuJoCo, the one of any-room.gif."""
+    trace = film_episode(pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere",
+                         seed=6, environment=MujocoVecEnv)
+    return replace(trace, label="in MuJoCo, protocol anywhere")
+
+
 def draw_delta(deltas, delta, part):
     """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
@@ -392,16 +417,21 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "appearances.png": draw_appearances,
     "lab.png": lambda: draw_lab(read("lab.csv")),
     "lab-map.png": draw_lab_map,
-    "benchmark.png": lambda: draw_benchmark(read("benchmark.json"))}
+    "benchmark.png": lambda: draw_benchmark(read("benchmark.json")),
+    "mujoco.png": draw_mujoco,  # this one and the next need robot/requirements.txt
+    "mujoco.gif": film_mujoco}
 
 
 def main(argv=None, pictures=FIGURES, description="Draw the figures of the results."):
     """Runs the command line. pictures: a dict like FIGURES."""
     only = option("", "draw only this picture", choices=["", *pictures])
-    options, _ = parse({"only": only}, description, argv)
+    options, parser = parse({"only": only}, description, argv)
     for name in [options.only] if options.only else pictures:
         write_picture = write_film if name.endswith("gif") else partial(Figure.savefig, dpi=130)
-        write_picture(pictures[name](), ROOT / "pictures" / name)
+        try:
+            write_picture(pictures[name](), ROOT / "pictures" / name)
+        except RunError as error:  # a missing package
+            parser.error(error)
         print(f"pictures/{name}", flush=True)
 
 

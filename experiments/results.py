@@ -15,6 +15,7 @@ import scenes
 from evaluation import Planned, Policy, evaluate, summarise
 from evaluation.planners import PLANNERS
 from experiments import figures, runs, tables
+from experiments.mujoco import write_mujoco
 from experiments.tables import RESULTS, ROOT
 from robot.environment import RingVecEnv
 from scenes.reality import Reality
@@ -26,7 +27,7 @@ from support.weights import FILE, load_model
 
 OPTIONS = {
     "level": option("", "only this level of the paper, or this part (default: all)",
-                    choices=("1", "2", "3", "lab", "stops", "planners")),
+                    choices=("1", "2", "3", "lab", "stops", "planners", "mujoco")),
     "jobs": option(2, "number of runs at a time, each on one core", 1, 64)}
 
 
@@ -39,8 +40,9 @@ def words(options):
 
 def commands(run):
     """Returns the commands that make the missing files of a run, each a list of words."""
-    in_lab = run.stage == "lab"
-    training, evaluation = ("robot.train", "robot.evaluate") if in_lab else ("train", "evaluation")
+    in_robot = run.stage in ("lab", "drawn")
+    training = "robot.train" if in_robot else "train"
+    evaluation = "robot.evaluate" if in_robot else "evaluation"
     folder = os.path.relpath(run.folder, ROOT)  # config.json must not name a machine's folders
     missing = []
     if not run.weights and not (run.folder / "evaluation.json").exists():
@@ -177,9 +179,9 @@ def main(argv=None):
     """Runs the command line."""
     options, parser = parse(OPTIONS, "Make every table and figure of the results.", argv)
     level_2 = runs.LEVEL_2 + runs.ANY_TARGET + runs.BUDGET + runs.LEVEL_2_ABLATIONS + runs.DELTAS
-    # In this order, because runs in the lab start from weights of levels 2 and 3.
+    # In this order, because runs of `lab` and `mujoco` start from weights of levels 2 and 3.
     stages = {"1": runs.LEVEL_1, "2": level_2, "3": runs.LEVEL_3, "lab": runs.LAB,
-              "stops": runs.STOPS}
+              "mujoco": runs.DRAWN, "stops": runs.STOPS}
     chosen = [level for level in stages if options.level in ("", level)]
     try:
         for level in chosen:
@@ -187,6 +189,8 @@ def main(argv=None):
             make_runs(stages[level], 1 if level == "stops" else options.jobs)
         if "lab" in chosen:
             write_lab_errors()
+        if "mujoco" in chosen:
+            write_mujoco()
         if options.level in ("", "planners"):
             write_planners()
         figures.main([])

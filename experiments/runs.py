@@ -32,6 +32,7 @@ SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: by the training), 
     "level2": {"training": (0, "training"), "new": (0, "new"), "anywhere": (1, "anywhere")},
     "any-target": {"training": (1, "training"), "new": (1, "new"), "anywhere": (2, "anywhere")},
     "level3": {"training": (0, "training"), "validation": (0, "new")},
+    "drawn": {"training": (0, "training"), "validation": (0, "new")},
     "lab": {"training": (1, "training"), "new": (1, "new"), "anywhere": (2, "anywhere")}}
 
 
@@ -117,6 +118,13 @@ def lab_runs():
         runs += [Run("lab", {"way": way, "allowed": allowed, "seed": seed}, options, wanted, file)
                  for seed in range(1 if file else 3)]
     return runs
+
+
+def drawn_runs():
+    """Returns the run of any-room's policy that goes on with errors and looks drawn at random."""
+    options = {"env": RANDOM, "targets": "anywhere", "reality": "random", "steps": 2_000_000,
+               "init": WEIGHTS["any-room"]}
+    return [Run("drawn", {"way": "drawn-errors", "seed": 0}, options, {})]
 
 
 def rates(result, keys=RATES, prefix=""):
@@ -228,6 +236,7 @@ DELTAS = [  # the lesson, and variants with one changed option
     for seed in range(3)]
 LEVEL_3 = level_3_runs()
 LAB = lab_runs()
+DRAWN = drawn_runs()
 TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
     "level1.csv": (LEVEL_1, summary_rows),
     "seeds.csv": (LEVEL_2, summary_rows), "any-target.csv": (ANY_TARGET, summary_rows),
@@ -237,11 +246,12 @@ TABLES = {  # file in results/ -> its runs, function that returns the rows of a 
     "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
     "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows), "deltas.csv": (DELTAS, delta_rows),
     "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
-    "lab.csv": (LAB, summary_rows)}
+    "lab.csv": (LAB, summary_rows), "drawn.csv": (DRAWN, summary_rows)}
 PRETRAINED = {  # name -> run with its weights, always seed 0, not the best seed
     "env1": "level2-env1-varied-seed0", "env1-memorized": "level2-env1-one-start-seed0",
     "env2": "level2-env2-varied-seed0",
-    "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0"}
+    "any-room": "level3-any-room-seed0", "lab": "lab-from-env2-3000-seed0",
+    "drawn-errors": "drawn-drawn-errors-seed0"}
 CLASSROOM = {  # folder in classroom/runs/ -> run that it is a part of
     "one": "level2-env1-one-start-seed0", "anywhere": "level2-env1-varied-seed0",
     "none": "level2-env1-none-seed0"}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from evaluation.measures import wilson
 from support.cli import parse
 from support.runs import write
 
@@ -58,8 +59,13 @@ def rates(rows):
     rows[columns] *= 100
     for low in rows.filter(regex="low$"):
         values = rows[[low.replace("low", end) for end in ("success", "low", "high")]].values
-        rows[low[:-4] or "rate"] = ["{:.1f} % [{:.1f}, {:.1f}]".format(*row) for row in values]
+        rows[low[:-4] or "rate"] = [interval(*row) for row in values]
     return rows
+
+
+def interval(rate, low, high):
+    """Returns a rate [%] and its interval as text."""
+    return f"{rate:.1f} % [{low:.1f}, {high:.1f}]"
 
 
 def text(value):
@@ -156,6 +162,25 @@ def lab_errors():
     return success
 
 
+def mujoco():
+    """Returns the policies in our simulation and in MuJoCo: success with its interval."""
+    rows = read("mujoco.csv").query("simulator in ['ours', 'MuJoCo']")
+    cells = rows.set_index(["policy", "room", "targets", "n", "simulator"]).rate
+    return cells.unstack(sort=False)[["ours", "MuJoCo"]]
+
+
+def mujoco_mixed():
+    """Returns the any-room policy in mixtures of both simulations, in each room and in all."""
+    rows = read("mujoco.csv").query("policy == 'any-room'")
+    cells = rows.set_index(["simulator", "room"]).success.unstack(sort=False)
+    for simulator, here in rows.groupby("simulator"):
+        n = here.n.sum()
+        arrived = round((here.success * here.n).sum() / 100)
+        low, high = wilson(arrived, n)
+        cells.loc[simulator, "all"] = interval(100 * arrived / n, 100 * low, 100 * high)
+    return cells
+
+
 def peaks():
     """Returns the peaks of the runs from one start pose in env1."""
     rows = read("curves.csv").query("env == 'env1' and way == 'one-start' and kind == 'new'")
@@ -201,8 +226,8 @@ def measured(section):
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
-    carry_over, level3_rooms, level3_planners, lab, lab_errors, peaks, stops, stop_ranges, budgets,
-    benchmark)}
+    carry_over, level3_rooms, level3_planners, lab, lab_errors, mujoco, mujoco_mixed, peaks, stops,
+    stop_ranges, budgets, benchmark)}
 TABLES["headline"] = lambda: summary().drop(columns="training_success")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}

@@ -28,7 +28,7 @@ from support.runs import RunError
 
 PUBLISHED = set(runs.PRETRAINED.values())
 EVERY = [*LEVEL_1, *LEVEL_2, *runs.ANY_TARGET, *runs.BUDGET, *LEVEL_2_ABLATIONS, *DELTAS, *LEVEL_3,
-         *LAB, *runs.STOPS]
+         *LAB, *runs.DRAWN, *runs.STOPS]
 RATE = {"n": 2, "success": 1 / 3, "low": 0.1, "high": 0.9, "collision": 0.5, "timeout": 0.25,
         "spl": 0.12345, "standing": 0.1, "stops": 2.0}
 
@@ -86,7 +86,7 @@ def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folde
                 assert (ROOT / prepared.folder).resolve() == run.folder
                 assert prepared.suffix == f"-{name}"
     folders = {run.folder.name for run in EVERY}
-    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 10 + 36 + 9 + 36 + 26 + 20
+    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 10 + 36 + 9 + 36 + 26 + 1 + 20
     assert PUBLISHED < folders
 
 

@@ -8,7 +8,6 @@ and columns.
 import functools
 import math
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ if not os.environ.get("DISPLAY"):
 try:
     import mujoco
 except ImportError:
-    mujoco = None
+    mujoco = None  # see `check_installed`
 
 KOBUKI = Path(__file__).with_name("kobuki.xml")  # the robot, with the sources of its dimensions
 WHEEL_RADIUS = 0.035  # [m] as in kobuki.xml
@@ -34,8 +33,7 @@ STEPS = round(CONTROL_PERIOD / 0.005)  # T, with the time step [s] of kobuki.xml
 RAY_HEIGHT = 0.1  # [m] of the range sensors above the floor, our choice
 POSE = [0, 1, 3]  # indices of x, y [m] and heading [rad] among the joint positions
 WHEELS = [6, 7]  # indices of the angles [rad] of the left and the right wheel
-SHOWN = 0  # group of geoms that images show
-WALLS = 3  # group of geoms that robots and rays meet
+WALLS = 3  # group of the boxes that robots and rays meet; images do not show it
 
 
 @functools.cache
@@ -52,7 +50,8 @@ def check_installed():
 
 @functools.lru_cache(maxsize=128)
 def compiled(scene):
-    """Returns the MjModel of a Scene with one robot."""
+    """Returns the MjModel of a Scene with one robot. Raises RunError."""
+    check_installed()
     spec = mujoco.MjSpec.from_file(str(KOBUKI))
     spec.camera("camera").fovy = 2 * math.degrees(math.atan(H / 2 / FOCAL))
     # As bright as in `support.textures.light`: MuJoCo, too, limits the sum to 1.
@@ -67,18 +66,16 @@ def compiled(scene):
     for material in {box.material for box in scene.boxes}:
         add_material(spec, material, texture(material, ABOVE))
     for b, box in enumerate(scene.boxes):
-        place = {"pos": (box.x, box.y, box.height / 2),
-                 "quat": (math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2))}
         half = box.length / 2, box.thickness / 2, box.height / 2
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=1, group=WALLS,
-                                **place)
+        turn = math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2)  # a quaternion
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=(box.x, box.y, half[2]),
+                                quat=turn, size=half, contype=1, group=WALLS)
         # On a box geom MuJoCo would squeeze the texture of the narrow sides: images show meshes.
         points, texels, triangles = sides(box)
-        spec.add_mesh(name=f"sides{b}", uservert=points.ravel(), usertexcoord=texels.ravel(),
-                      userface=triangles.ravel(),
+        spec.add_mesh(name=f"sides{b}", uservert=points, usertexcoord=texels, userface=triangles,
                       inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"sides{b}",
-                                material=box.material, group=SHOWN, **place)
+                                material=box.material)
     return spec.compile()
 
 
@@ -93,21 +90,23 @@ def add_material(spec, name, colours):
 
 
 def sides(box):
-    """Returns the mesh of the four sides of a Box around its centre: corners (16, 3) [m], their
-    places in the texture (16, 2), triangles (8, 3). From the left end of each side, as seen from
-    outside, the texture repeats every PERIOD texels, as in `render`."""
-    corners = replace(box, x=0.0, y=0.0, yaw=0.0).corners
-    foot = -box.height / 2
-    top = box.height / 2
-    highest = box.height / TEXEL / ABOVE
+    """Returns the mesh of the four sides of a Box: corners (48,) [m], their places in the texture
+    (32,) and triangles (24,). From the left end of each side, as seen from outside, the texture
+    repeats every PERIOD texels, as in `render`."""
     points = []
     texels = []
-    for p, q in zip(corners, np.roll(corners, -1, axis=0)):
-        length = np.hypot(*(q - p)) / TEXEL / PERIOD
-        points += [(*p, foot), (*q, foot), (*q, top), (*p, top)]
-        texels += [(0, 0), (length, 0), (length, highest), (0, highest)]
-    triangles = [np.add([(0, 1, 2), (0, 2, 3)], 4 * side) for side in range(4)]
-    return np.array(points), np.array(texels), np.concatenate(triangles)
+    for p, q in zip(box.corners, np.roll(box.corners, -1, axis=0)):
+        right, top = np.hypot(*(q - p)) / TEXEL / PERIOD, box.height / TEXEL / ABOVE
+        points += [*p, 0, *q, 0, *q, box.height, *p, box.height]
+        texels += [0, 0, right, 0, right, top, 0, top]
+    triangles = np.add.outer(4 * np.arange(4), (0, 1, 2, 0, 2, 3))
+    return points, texels, triangles.ravel()
+
+
+def wheel_speeds(commands):
+    """Returns the speeds (R, 2) [rad/s] of both wheels for commands (R, 2) [m/s, rad/s]."""
+    v, w = np.array(commands, dtype=float).T
+    return np.stack([v - w * WHEELBASE / 2, v + w * WHEELBASE / 2], -1) / WHEEL_RADIUS
 
 
 class MujocoWorld:
@@ -149,9 +148,8 @@ class MujocoWorld:
 
         commands: (R, 2), linear [m/s] and angular [rad/s] velocity, for the servos of the wheels.
         """
-        v, w = np.array(commands, dtype=float).T
-        speeds = np.stack([v - w * WHEELBASE / 2, v + w * WHEELBASE / 2], -1) / WHEEL_RADIUS
-        hit = np.zeros(len(v), dtype=bool)
+        speeds = wheel_speeds(commands)
+        hit = np.zeros(len(speeds), dtype=bool)
         for r, (model, data) in enumerate(zip(self.models, self.data)):
             data.ctrl[:] = speeds[r]
             body = model.geom("body").id
@@ -161,7 +159,6 @@ class MujocoWorld:
                 self.wheels[r, t:] = data.qpos[WHEELS]
                 if (data.contact.geom == body).any():
                     hit[r] = True
-                    data.qvel[:] = 0
                     break
         return hit
 
@@ -232,7 +229,6 @@ class MujocoVecEnv(RealVecEnv):
 
     def __init__(self, *args, **options):
         """Takes the arguments of NavVecEnv. Raises RunError."""
-        check_installed()
         super().__init__(*args, **options)
         self.world = MujocoWorld(self.scenes)
         self.scenes = self.world.scenes
