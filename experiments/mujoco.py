@@ -105,15 +105,15 @@ def write_mujoco(episodes=EPISODES):
             known.setdefault(tuple(row[key] for key in CELL), []).append(row)
     for cell in cells():
         if cell not in known:
-            known[cell] = measure(*cell, episodes)
+            known[cell] = measure(*cell, n=episodes)
             rows = [row for cell in cells() for row in known.get(cell, [])]
             write(path, pd.DataFrame(rows).to_csv(index=False))
 
 
-def measure(policy, room, protocol, simulator, digest, episodes):
-    """Returns the rows of a cell, one for each kind of targets."""
+def measure(policy, room, protocol, simulator, digest, n):
+    """Returns the rows of a cell with n episodes, one for each kind of targets."""
     driver = Policy(load_model(weights(policy))[0], "mean", seed=0)
-    result, _ = evaluate(driver, [room], episodes, protocol, actions="mean",
+    result, _ = evaluate(driver, [room], n, protocol, actions="mean",
                          environment=(WHOLE | MIXED)[simulator], workers=available_cores())
     cell = dict(zip(CELL, (policy, room, protocol, simulator, digest)))
     return [cell | {"targets": kind} | runs.rates(result[kind])

@@ -17,10 +17,11 @@ import robot.evaluate
 import robot.train
 import scenes
 import train
-from experiments import results, runs
+from experiments import mujoco, results, runs
 from experiments.runs import (DELTAS, LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3, TABLES,
                               Run)
 from experiments.tables import ROOT
+from robot.test_mujoco import installed  # noqa: F401  a fixture
 from scenes.reality import Reality
 from support.cli import parse
 from support.run_folder import check_config
@@ -218,3 +219,43 @@ def test_a_run_whose_rows_and_weights_are_published_is_skipped(folder, monkeypat
     rows[1:].to_csv(folder / "level1.csv", index=False)
     monkeypatch.setattr(runs, "PRETRAINED", {})
     assert not results.is_recorded(LEVEL_1[0]) and results.is_recorded(LEVEL_1[1])
+
+
+def test_a_table_of_mujoco_keeps_cells_with_the_same_weights_and_number_of_episodes(
+        folder, monkeypatch):
+    monkeypatch.setattr(mujoco, "RESULTS", folder)
+    (folder / "mujoco.csv").unlink(missing_ok=True)
+    cells = [("any-room", room, "anywhere", "ours", "a1") for room in ("env1", "env2", "maze0")]
+    measured = []
+    monkeypatch.setattr(mujoco, "cells", lambda: cells)
+    monkeypatch.setattr(mujoco, "measure", lambda *cell, n: measured.append(cell) or [
+        dict(zip(mujoco.CELL, cell)) | {"targets": "anywhere", "n": n}])
+    for again, changed, episodes in (([0, 1, 2], {}, 5), ([1], {1: "b2"}, 5), ([0, 1, 2], {}, 6)):
+        measured.clear()
+        for k, digest in changed.items():
+            cells[k] = (*cells[k][:-1], digest)
+        mujoco.write_mujoco(episodes)
+        assert measured == [cells[k] for k in again]
+        rows = pd.read_csv(folder / "mujoco.csv")
+        assert rows[list(mujoco.CELL)].values.tolist() == [list(cell) for cell in cells]
+        assert (rows.n == episodes).all()
+
+
+def test_each_mixture_of_the_simulations_takes_the_part_that_it_names(installed):
+    seen = {}
+    for name, environment in (mujoco.WHOLE | mujoco.MIXED).items():
+        env = environment(1, ["env2"], "training")
+        env.reset(seed=0, options={"start": env.scenes[0].start, "target": 0})
+        observed, *_ = env.step(np.array([[1.0, 0.0]]))
+        moved = np.hypot(*(env.world.poses[0] - env.starts[0])[:2])
+        off = np.abs(env.estimates - env.world.poses).max()
+        seen[name] = observed["image"][0].astype(int), round(moved, 3), off > 1e-6
+    assert {name: row[1:] for name, row in seen.items()} == {
+        "ours": (0.12, False), "MuJoCo": (0.09, True), "MuJoCo with our images": (0.09, True),
+        "MuJoCo with a level camera": (0.09, True), "MuJoCo with the true pose": (0.09, False),
+        "MuJoCo with prompt wheels": (0.12, True), "ours with MuJoCo's images": (0.12, False)}
+    floor = {name: (image == 118).all(-1) for name, (image, *_) in seen.items()}
+    smooth = {name: np.abs(np.diff(image, axis=1))[~floor[name][:, 1:]].mean()
+              for name, (image, *_) in seen.items()}
+    assert all((smooth[name] > smooth["MuJoCo"] + 2) == (name in ("ours", "MuJoCo with our images"))
+               for name in smooth), smooth

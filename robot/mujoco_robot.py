@@ -15,8 +15,7 @@ import numpy as np
 from render import ABOVE, FOCAL, H, W
 from robot import ring
 from robot.environment import WHEELBASE, RealVecEnv
-from sim import CONTROL_PERIOD, wrap_angle
-from support.checks import refuse_reality
+from sim import CONTROL_PERIOD, SceneError, wrap_angle
 from support.runs import RunError
 from support.textures import BLUE, FLOOR, PERIOD, SKY, SUN, TEXEL, texture
 
@@ -225,7 +224,7 @@ class MujocoCamera:
 
 
 class MujocoVecEnv(RealVecEnv):
-    """RealVecEnv in MuJoCo. Rooms with a robot's errors are refused: MuJoCo has its own."""
+    """RealVecEnv in MuJoCo. Refuses rooms that describe a robot's errors."""
 
     def __init__(self, *args, **options):
         """Takes the arguments of NavVecEnv. Raises RunError."""
@@ -236,7 +235,10 @@ class MujocoVecEnv(RealVecEnv):
 
     @staticmethod
     def check_rooms(scenes):
-        refuse_reality(scenes)
+        for scene in scenes:
+            if scene.reality:
+                raise SceneError(f"room {scene.name!r} has a robot's errors, which are not "
+                                 "simulated in MuJoCo")
 
     def ranges(self):
         return ring.listen(self.world, MujocoWorld.range_readings)

@@ -28,7 +28,10 @@ FLOOR = Scene("floor", tuple(walls(12.0, 12.0)), (0.0, 0.0, 0.0), ((3.0, 0.0),),
 ROOMS = [scenes.load(name) for name in ("env1", "env2", "maze0", "maze4")]
 
 
-@pytest.fixture(autouse=True)
+pytestmark = pytest.mark.usefixtures("installed")
+
+
+@pytest.fixture
 def installed():
     try:
         mujoco_robot.check_installed()
