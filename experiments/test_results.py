@@ -241,7 +241,8 @@ def test_a_table_of_mujoco_keeps_cells_with_the_same_weights_and_number_of_episo
         assert (rows.n == episodes).all()
 
 
-def test_each_mixture_of_the_simulations_takes_the_part_that_it_names(installed):
+@pytest.mark.usefixtures("installed")
+def test_each_mixture_of_the_simulations_takes_the_part_that_it_names():
     seen = {}
     for name, environment in (mujoco.WHOLE | mujoco.MIXED).items():
         env = environment(1, ["env2"], "training")
