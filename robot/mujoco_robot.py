@@ -95,7 +95,8 @@ def sides(box):
     points = []
     texels = []
     for p, q in zip(box.corners, np.roll(box.corners, -1, axis=0)):
-        right, top = np.hypot(*(q - p)) / TEXEL / PERIOD, box.height / TEXEL / ABOVE
+        right = np.hypot(*(q - p)) / TEXEL / PERIOD
+        top = box.height / TEXEL / ABOVE
         points += [*p, 0, *q, 0, *q, box.height, *p, box.height]
         texels += [0, 0, right, 0, right, top, 0, top]
     triangles = np.add.outer(4 * np.arange(4), (0, 1, 2, 0, 2, 3))
@@ -142,11 +143,8 @@ class MujocoWorld:
             mujoco.mj_forward(self.models[r], self.data[r])
 
     def drive(self, commands):
-        """Drives every robot for CONTROL_PERIOD. Returns (R,) bool: True for robots that touched a
-        wall. Such a robot stops there for the rest of the period.
-
-        commands: (R, 2), linear [m/s] and angular [rad/s] velocity, for the servos of the wheels.
-        """
+        """Drives every robot for CONTROL_PERIOD. Returns (R,) bool: True for robots that collided
+        with a wall. They stop there for the rest of the period. commands: (R, 2) [m/s, rad/s]."""
         speeds = wheel_speeds(commands)
         hit = np.zeros(len(speeds), dtype=bool)
         for r, (model, data) in enumerate(zip(self.models, self.data)):
@@ -237,8 +235,7 @@ class MujocoVecEnv(RealVecEnv):
     def check_rooms(scenes):
         for scene in scenes:
             if scene.reality:
-                raise SceneError(f"room {scene.name!r} has a robot's errors, which are not "
-                                 "simulated in MuJoCo")
+                raise SceneError(f"MuJoCo does not simulate the errors of room {scene.name!r}")
 
     def ranges(self):
         return ring.listen(self.world, MujocoWorld.range_readings)
