@@ -2,17 +2,20 @@
 and in mixtures of both, which take one part from the other."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
+import scenes
 from evaluation import Policy, evaluate
 from experiments import runs
-from experiments.tables import RESULTS, ROOT
+from experiments.tables import LOOK, RESULTS, ROOT
 from robot.appearance import Cameras
 from robot.environment import RealVecEnv
 from robot.mujoco_robot import (POSE, WHEELS, MujocoCamera, MujocoVecEnv, MujocoWorld,
                                 wheel_speeds)
+from scenes.reality import Reality
 from support.parallel import available_cores
 from support.runs import write
 from support.weights import load_model
@@ -78,14 +81,17 @@ WHOLE = {"ours": RealVecEnv, "MuJoCo": MujocoVecEnv}
 MIXED = {"MuJoCo with our images": OurImages, "MuJoCo with a level camera": LevelCamera,
          "MuJoCo with the true pose": TruePose, "MuJoCo with prompt wheels": PromptWheels,
          "ours with MuJoCo's images": MujocoImages}
+LOOKS = {f"{name}{LOOK}": environment for name, environment in WHOLE.items()}  # never seen before
+SIMULATORS = WHOLE | MIXED | LOOKS
 
 
 def cells():
     """Returns the cells of the table: policy, room, protocol, simulator, digest of the weights."""
     # From one start pose, mean actions would repeat one episode: start and target are perturbed.
     chosen = [(room, room, "perturbed", name) for room in LEVEL_2 for name in WHOLE]
-    chosen += [("any-room", room, "anywhere", name) for name in WHOLE | MIXED for room in ROOMS]
-    chosen += [("drawn-errors", room, "anywhere", name) for name in WHOLE for room in ROOMS]
+    chosen += [("any-room", room, "anywhere", name) for name in SIMULATORS for room in ROOMS]
+    chosen += [("drawn-errors", room, "anywhere", name) for name in WHOLE | LOOKS
+               for room in ROOMS]
     return [(policy, *others, hashlib.sha256(weights(policy).read_bytes()).hexdigest()[:8])
             for policy, *others in chosen if weights(policy).exists()]
 
@@ -113,8 +119,11 @@ def write_mujoco(episodes=EPISODES):
 def measure(policy, room, protocol, simulator, digest, n):
     """Returns the rows of a cell with n episodes, one for each kind of targets."""
     driver = Policy(load_model(weights(policy))[0], "mean", seed=0)
-    result, _ = evaluate(driver, [room], n, protocol, actions="mean",
-                         environment=(WHOLE | MIXED)[simulator], workers=available_cores())
+    scene = scenes.load(room)
+    if simulator in LOOKS:
+        scene = replace(scene, reality=Reality(appearance="lab"))
+    result, _ = evaluate(driver, [scene], n, protocol, actions="mean",
+                         environment=SIMULATORS[simulator], workers=available_cores())
     cell = dict(zip(CELL, (policy, room, protocol, simulator, digest)))
     return [cell | {"targets": kind} | runs.rates(result[kind])
             for kind in ("training", "new", "anywhere") if result.get(kind)]

@@ -25,6 +25,8 @@ LAB = {"env2": "env2 policy, unchanged", "any-room": "any-room policy, unchanged
        "from-scratch": "from random weights", "from-env2": "from env2 policy",
        "from-any-room": "from any-room policy"}
 
+LOOK = " with the lab's look"  # end of the name of a simulator in mujoco.csv
+
 # Tables with a row for each group of runs: (files, query, columns that group, columns to show).
 RANDOM_TARGETS = "targets not in ['training', 'new']"  # level3.csv has no such column
 PARTS = "way in ['rooms-0', 'single', 'none', 'blind', 'no-target', 'no-last']"
@@ -164,14 +166,15 @@ def lab_errors():
 
 def mujoco():
     """Returns the policies in our simulation and in MuJoCo: success with its interval."""
-    rows = read("mujoco.csv").query("simulator in ['ours', 'MuJoCo']")
-    cells = rows.set_index(["policy", "room", "targets", "n", "simulator"]).rate
-    return cells.unstack(sort=False)[["ours", "MuJoCo"]]
+    cells = read("mujoco.csv").set_index(["policy", "room", "targets", "n", "simulator"]).rate
+    shown = [f"{simulator}{look}" for look in ("", LOOK) for simulator in ("ours", "MuJoCo")]
+    return cells.unstack(sort=False).reindex(columns=shown)
 
 
 def mujoco_mixed():
     """Returns the any-room policy in mixtures of both simulations, in each room and in all."""
     rows = read("mujoco.csv").query("policy == 'any-room'")
+    rows = rows[~rows.simulator.str.endswith(LOOK)]
     cells = rows.set_index(["simulator", "room"]).success.unstack(sort=False)
     for simulator, here in rows.groupby("simulator"):
         n = here.n.sum()

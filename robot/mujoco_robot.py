@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from render import ABOVE, FOCAL, H, W
+from render import ABOVE, FOCAL, Camera, H, W
 from robot import ring
+from robot.appearance import LabCamera
 from robot.environment import WHEELBASE, RealVecEnv
-from sim import CONTROL_PERIOD, SceneError, wrap_angle
+from sim import CONTROL_PERIOD, wrap_angle
 from support.runs import RunError
-from support.textures import BLUE, FLOOR, PERIOD, SKY, SUN, TEXEL, texture
+from support.textures import BLUE, PERIOD, SUN, TEXEL
 
 if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # how MuJoCo renders; read when it is imported
@@ -32,6 +33,9 @@ STEPS = round(CONTROL_PERIOD / 0.005)  # T, with the time step [s] of kobuki.xml
 RAY_HEIGHT = 0.1  # [m] of the range sensors above the floor, our choice
 POSE = [0, 1, 3]  # indices of x, y [m] and heading [rad] among the joint positions
 WHEELS = [6, 7]  # indices of the angles [rad] of the left and the right wheel
+LOOKS = {  # appearance -> textures; the light's direction, brightness in the shade, and strength
+    "simulation": (Camera, SUN, 0.5, 1.0),  # as in `support.textures.light`: MuJoCo limits it to 1
+    "lab": (LabCamera, LabCamera.sun, LabCamera.ambient, 1 - LabCamera.ambient)}
 WALLS = 3  # group of the boxes that robots and rays meet; images do not show it
 
 
@@ -53,17 +57,18 @@ def compiled(scene):
     check_installed()
     spec = mujoco.MjSpec.from_file(str(KOBUKI))
     spec.camera("camera").fovy = 2 * math.degrees(math.atan(H / 2 / FOCAL))
-    # As bright as in `support.textures.light`: MuJoCo, too, limits the sum to 1.
-    spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=-SUN,
-                             castshadow=False, ambient=(0.5, 0.5, 0.5), diffuse=(1, 1, 1),
+    look, sun, ambient, diffuse = LOOKS[scene.reality.appearance if scene.reality else "simulation"]
+    paints = look([])  # a camera without rooms
+    spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=-sun,
+                             castshadow=False, ambient=[ambient] * 3, diffuse=[diffuse] * 3,
                              specular=(0, 0, 0))
     spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=8, height=48,
-                     builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=np.divide(SKY, 255))
-    for name, colour in (("floor", FLOOR), ("cube", BLUE)):
+                     builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=np.divide(paints.sky, 255))
+    for name, colour in (("floor", paints.floor), ("cube", BLUE)):
         add_material(spec, name, np.full((1, 1, 3), colour))
         spec.geom(name).material = name
     for material in {box.material for box in scene.boxes}:
-        add_material(spec, material, texture(material, ABOVE))
+        add_material(spec, material, paints.texture(material))
     for b, box in enumerate(scene.boxes):
         half = box.length / 2, box.thickness / 2, box.height / 2
         turn = math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2)  # a quaternion
@@ -159,13 +164,14 @@ class MujocoWorld:
                     break
         return hit
 
-    def odometry(self, estimates):
+    def odometry(self, estimates, drift=np.zeros((1, 2))):
         """Returns the poses (R, 3) by odometry after the last period, from those before it: each
-        physics step is an arc whose length and turn are those of the wheels."""
+        physics step is an arc whose length and turn are those of the wheels. drift: (R, 2), further
+        relative errors of both."""
         left, right = np.moveaxis(np.diff(self.wheels, axis=1), -1, 0) * WHEEL_RADIUS  # (R, T) [m]
-        turn = (right - left) / WHEELBASE
+        turn = (right - left) / WHEELBASE * (1 + drift[:, 1:])
         heading = estimates[:, 2:] + np.cumsum(turn, axis=1)
-        ahead = (left + right) / 2
+        ahead = (left + right) / 2 * (1 + drift[:, :1])
         x = estimates[:, 0] + (ahead * np.cos(heading - turn / 2)).sum(1)
         y = estimates[:, 1] + (ahead * np.sin(heading - turn / 2)).sum(1)
         return np.stack([x, y, wrap_angle(heading[:, -1])], -1)
@@ -222,7 +228,7 @@ class MujocoCamera:
 
 
 class MujocoVecEnv(RealVecEnv):
-    """RealVecEnv in MuJoCo. Refuses rooms that describe a robot's errors."""
+    """RealVecEnv in MuJoCo. The errors of a room's `reality` are added to those of MuJoCo."""
 
     def __init__(self, *args, **options):
         """Takes the arguments of NavVecEnv. Raises RunError."""
@@ -231,17 +237,11 @@ class MujocoVecEnv(RealVecEnv):
         self.scenes = self.world.scenes
         self.camera = MujocoCamera(self.scenes, self.world)
 
-    @staticmethod
-    def check_rooms(scenes):
-        for scene in scenes:
-            if scene.reality:
-                raise SceneError(f"MuJoCo does not simulate the errors of room {scene.name!r}")
-
     def ranges(self):
         return ring.listen(self.world, MujocoWorld.range_readings)
 
     def _odometry(self, poses):
-        return self.world.odometry(self.estimates)
+        return self.world.odometry(self.estimates, self._drift)
 
 
 class MujocoRingVecEnv(MujocoVecEnv):

@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 import scenes
 from render import CAMERA_OFFSET, CUBE_SIZE, FAR, FOCAL, NEAR, Camera
 from robot import mujoco_robot
+from robot.appearance import LabCamera
 from robot.environment import WHEELBASE
 from robot.lab import LabRobot
 from robot.mujoco_robot import (STEPS, WHEEL_RADIUS, MujocoCamera, MujocoRingVecEnv, MujocoVecEnv,
@@ -77,6 +78,18 @@ def test_both_cameras_see_the_same_edges_within_two_pixels(scene):
         around = sliding_window_view(wide, (5, 5), (1, 2))
         assert (around != one[..., None, None]).all((-2, -1)).mean() < 1e-4
     assert all((ours == label).mean() > 0.005 for label in range(4))
+
+
+def test_the_lab_has_its_own_look_and_the_drift_of_its_odometry():
+    scene = scenes.load("lab")
+    poses, targets = views(scene, 40)
+    theirs, lab, ours = [camera([scene]).render(np.zeros(40, int), poses, targets).astype(int)
+                         for camera in (MujocoCamera, LabCamera, Camera)]
+    assert abs(theirs - lab).mean() < abs(theirs - ours).mean() / 3
+    world = MujocoWorld([FLOOR])
+    world.drive([(0.3, 0.5)])
+    exact, drifted = [world.odometry(np.zeros((1, 3)), np.array([[0, drift]])) for drift in (0, 1)]
+    assert drifted[0, 2] == pytest.approx(2 * exact[0, 2])
 
 
 def test_a_robot_whose_nose_dips_sees_the_floor_higher():
