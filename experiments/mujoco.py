@@ -80,9 +80,11 @@ class MujocoImages(RealVecEnv):
 WHOLE = {"ours": RealVecEnv, "MuJoCo": MujocoVecEnv}
 MIXED = {"MuJoCo with our images": OurImages, "MuJoCo with a level camera": LevelCamera,
          "MuJoCo with the true pose": TruePose, "MuJoCo with prompt wheels": PromptWheels,
-         "ours with MuJoCo's images": MujocoImages}
+         "MuJoCo with late images": MujocoVecEnv, "ours with MuJoCo's images": MujocoImages}
 LOOKS = {f"{name}{LOOK}": environment for name, environment in WHOLE.items()}  # never seen before
 SIMULATORS = WHOLE | MIXED | LOOKS
+ERRORS = {name: Reality(appearance="lab") for name in LOOKS} | {
+    "MuJoCo with late images": Reality(image_delay=1.0)}  # one period late
 
 
 def cells():
@@ -119,9 +121,7 @@ def write_mujoco(episodes=EPISODES):
 def measure(policy, room, protocol, simulator, digest, n):
     """Returns the rows of a cell with n episodes, one for each kind of targets."""
     driver = Policy(load_model(weights(policy))[0], "mean", seed=0)
-    scene = scenes.load(room)
-    if simulator in LOOKS:
-        scene = replace(scene, reality=Reality(appearance="lab"))
+    scene = replace(scenes.load(room), reality=ERRORS.get(simulator))
     result, _ = evaluate(driver, [scene], n, protocol, actions="mean",
                          environment=SIMULATORS[simulator], workers=available_cores())
     cell = dict(zip(CELL, (policy, room, protocol, simulator, digest)))

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -245,16 +246,19 @@ def test_a_table_of_mujoco_keeps_cells_with_the_same_weights_and_number_of_episo
 def test_each_mixture_of_the_simulations_takes_the_part_that_it_names():
     seen = {}
     for name, environment in (mujoco.WHOLE | mujoco.MIXED).items():
-        env = environment(1, ["env2"], "training")
-        env.reset(seed=0, options={"start": env.scenes[0].start, "target": 0})
+        room = replace(scenes.load("env2"), reality=mujoco.ERRORS.get(name))
+        env = environment(1, [room], "training")
+        first, _ = env.reset(seed=0, options={"start": env.scenes[0].start, "target": 0})
         observed, *_ = env.step(np.array([[1.0, 0.0]]))
+        assert (observed["image"] == first["image"]).all() == (name == "MuJoCo with late images")
         moved = np.hypot(*(env.world.poses[0] - env.starts[0])[:2])
         off = np.abs(env.estimates - env.world.poses).max()
         seen[name] = observed["image"][0].astype(int), round(moved, 3), off > 1e-6
     assert {name: row[1:] for name, row in seen.items()} == {
         "ours": (0.12, False), "MuJoCo": (0.09, True), "MuJoCo with our images": (0.09, True),
         "MuJoCo with a level camera": (0.09, True), "MuJoCo with the true pose": (0.09, False),
-        "MuJoCo with prompt wheels": (0.12, True), "ours with MuJoCo's images": (0.12, False)}
+        "MuJoCo with prompt wheels": (0.12, True), "MuJoCo with late images": (0.09, True),
+        "ours with MuJoCo's images": (0.12, False)}
     floor = {name: (image == 118).all(-1) for name, (image, *_) in seen.items()}
     smooth = {name: np.abs(np.diff(image, axis=1))[~floor[name][:, 1:]].mean()
               for name, (image, *_) in seen.items()}
