@@ -26,11 +26,11 @@ evaluate: .venv/installed
 	$(BIN)/python -m evaluation $(RUN)
 
 # Trains and evaluates everything that the tables report: hours.
-results: .venv/experiments-installed
+results: .venv/experiments-installed .venv/robot-installed
 	$(BIN)/python -m experiments.results
 
 # Makes the figures and tables from the files in results/.
-figures: .venv/experiments-installed
+figures: .venv/experiments-installed .venv/robot-installed
 	$(BIN)/python -m experiments.figures
 	$(BIN)/python -m experiments.diagrams
 	$(BIN)/python -m experiments.tables
@@ -47,6 +47,10 @@ benchmark: .venv/experiments-installed
 .venv/experiments-installed: .venv/installed experiments/requirements.txt
 	$(BIN)/pip install -r experiments/requirements.txt
 	touch .venv/experiments-installed
+
+.venv/robot-installed: .venv/installed robot/requirements.txt
+	$(BIN)/pip install -r robot/requirements.txt
+	touch .venv/robot-installed
 
 .venv/tests-installed: .venv/experiments-installed support/requirements-test.txt
 	$(BIN)/pip install -r support/requirements-test.txt

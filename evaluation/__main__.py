@@ -66,6 +66,7 @@ class Examination:
         if options.env:
             self.scenes = [scenes.load(options.env)]
         self.environment, suffix = options.environment(self.scenes)
+        self.extras = suffix.replace("-", ", ")  # of a robot's environment, for the heading
         self.environment.check_rooms(self.scenes)
         if options.hide:
             suffix = f"-hidden-{options.hide}{suffix}"
@@ -94,7 +95,7 @@ class Examination:
         rooms = ", ".join(scene.name for scene in self.scenes[:MOST_DRAWN])
         if len(self.scenes) > MOST_DRAWN:
             rooms += f" and {len(self.scenes) - MOST_DRAWN} more"
-        heading = f"{who}, in {rooms}, {conditions(options.protocol, options.hide)}"
+        heading = f"{who}, in {rooms}, {conditions(options.protocol, options.hide)}{self.extras}"
         print(text if options.json else f"{heading}; files in {self.folder}\n{table(result)}")
         self.folder.mkdir(parents=True, exist_ok=True)
         write(self.path("evaluation.json"), text)

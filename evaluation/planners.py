@@ -53,7 +53,7 @@ class Roadmap:
         fits = scene.clearance(points) > ROBOT_RADIUS
         self.points = points[fits]
         self.sides = None if sides is None else sides[fits]
-        self.number = {point: k for k, point in enumerate(map(tuple, self.points.tolist()))}
+        self.index_of = {point: k for k, point in enumerate(map(tuple, self.points.tolist()))}
         self.legs = functools.cache(self._legs)
 
     def free(self, a, b):
@@ -67,24 +67,26 @@ class Roadmap:
             along = self.points - point
             along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
             useful = passes(along, self.sides)
-            if point in self.number:
-                useful &= passes(along, self.sides[self.number[point]])
+            if point in self.index_of:
+                useful &= passes(along, self.sides[self.index_of[point]])
         return [other for other in map(tuple, self.points[useful].tolist())
                 if other != point and self.free(point, other)]
 
     def path(self, start, goal, within=ARRIVAL_DISTANCE):
         """Returns the points (x, y) after the start of the shortest path that ends `within` [m] of
         the goal, and its length [m]; None and inf if there is no path. Searches by A*."""
-        queue = [(0.0, 0.0, tuple(start), None, False)]  # the first value is a bound: see below
+        # Entries: the least length of any path by the point, its length up to the point, the point,
+        # the point before it, and whether it is the end.
+        queue = [(0.0, 0.0, tuple(start), None, False)]
         previous = {}  # point -> the point before it
         while queue:
             _, length, point, before, is_end = heapq.heappop(queue)
             if is_end:
                 points = [point]
-                while before:
+                while previous[before]:
                     points.append(before)
                     before = previous[before]
-                return points[-2::-1] or points, length
+                return points[::-1], length
             if point in previous:
                 continue
             previous[point] = before
@@ -95,8 +97,8 @@ class Roadmap:
             for other in self.legs(point):
                 if other not in previous:
                     so_far = length + math.dist(point, other)
-                    bound = so_far + max(math.dist(other, goal) - within, 0)  # of any path by there
-                    heapq.heappush(queue, (bound, so_far, other, point, False))
+                    least = so_far + max(math.dist(other, goal) - within, 0)
+                    heapq.heappush(queue, (least, so_far, other, point, False))
         return None, math.inf
 
     def _last_leg(self, point, goal, within):

@@ -81,7 +81,8 @@ WHOLE = {"ours": RealVecEnv, "MuJoCo": MujocoVecEnv}
 MIXED = {"MuJoCo with our images": OurImages, "MuJoCo with a level camera": LevelCamera,
          "MuJoCo with the true pose": TruePose, "MuJoCo with prompt wheels": PromptWheels,
          "MuJoCo with late images": MujocoVecEnv, "ours with MuJoCo's images": MujocoImages}
-LOOKS = {f"{name}{LOOK}": environment for name, environment in WHOLE.items()}  # never seen before
+# No policy of level 3 has seen the look of the lab.
+LOOKS = {f"{name}{LOOK}": environment for name, environment in WHOLE.items()}
 SIMULATORS = WHOLE | MIXED | LOOKS
 ERRORS = {name: Reality(appearance="lab") for name in LOOKS} | {
     "MuJoCo with late images": Reality(image_delay=1.0)}  # one period late
@@ -111,10 +112,11 @@ def write_mujoco(episodes=EPISODES):
     for row in rows:
         if row["n"] == episodes:
             known.setdefault(tuple(row[key] for key in CELL), []).append(row)
-    for cell in cells():
+    wanted = cells()
+    for cell in wanted:
         if cell not in known:
             known[cell] = measure(*cell, n=episodes)
-            rows = [row for cell in cells() for row in known.get(cell, [])]
+            rows = [row for key in wanted for row in known.get(key, [])]
             write(path, pd.DataFrame(rows).to_csv(index=False))
 
 

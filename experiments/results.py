@@ -18,6 +18,7 @@ from experiments import figures, runs, tables
 from experiments.mujoco import write_mujoco
 from experiments.tables import RESULTS, ROOT
 from robot.environment import RingVecEnv
+from robot.mujoco_robot import check_installed
 from scenes.reality import Reality
 from support.cli import option, parse
 from support.parallel import available_cores
@@ -184,6 +185,8 @@ def main(argv=None):
               "mujoco": runs.DRAWN, "stops": runs.STOPS}
     chosen = [level for level in stages if options.level in ("", level)]
     try:
+        if "mujoco" in chosen:
+            check_installed()
         for level in chosen:
             # A run to the stop uses several cores, so each has the machine to itself.
             make_runs(stages[level], 1 if level == "stops" else options.jobs)

@@ -8,6 +8,7 @@ and columns.
 import functools
 import math
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,13 @@ from sim import CONTROL_PERIOD, wrap_angle
 from support.runs import RunError
 from support.textures import BLUE, PERIOD, SUN, TEXEL
 
-if not os.environ.get("DISPLAY"):
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # how MuJoCo renders; read when it is imported
 try:
     import mujoco
-except ImportError:
+except Exception as error:  # without a library to render with, not only ImportError
     mujoco = None  # see `check_installed`
+    reason = error
 
 KOBUKI = Path(__file__).with_name("kobuki.xml")  # the robot, with the sources of its dimensions
 WHEEL_RADIUS = 0.035  # [m] as in kobuki.xml
@@ -42,13 +44,13 @@ WALLS = 3  # group of the boxes that robots and rays meet; images do not show it
 @functools.cache
 def check_installed():
     """Raises RunError if MuJoCo or the library with which it renders is missing."""
-    if mujoco is None:
+    if mujoco is None and isinstance(reason, ModuleNotFoundError):
         raise RunError("MuJoCo is missing: pip install -r robot/requirements.txt")
     try:
-        mujoco.GLContext(W, H).free()
+        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), H, W).close()
     except Exception as error:  # each library raises its own
-        raise RunError("MuJoCo cannot render without a display: apt install libegl1 "
-                       f"libgl1-mesa-dri ({type(error).__name__})") from None
+        raise RunError("MuJoCo cannot render without a display: unset MUJOCO_GL, and on Linux apt "
+                       f"install libegl1 libgl1-mesa-dri ({type(error).__name__})") from None
 
 
 @functools.lru_cache(maxsize=128)
@@ -58,7 +60,7 @@ def compiled(scene):
     spec = mujoco.MjSpec.from_file(str(KOBUKI))
     spec.camera("camera").fovy = 2 * math.degrees(math.atan(H / 2 / FOCAL))
     look, sun, ambient, diffuse = LOOKS[scene.reality.appearance if scene.reality else "simulation"]
-    paints = look([])  # a camera without rooms
+    paints = look([])  # a camera without rooms, for its colours
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=-sun,
                              castshadow=False, ambient=[ambient] * 3, diffuse=[diffuse] * 3,
                              specular=(0, 0, 0))
@@ -201,7 +203,7 @@ class MujocoCamera:
         self._views = {}  # Scene -> its MjModel, MjData and Renderer
 
     def set_scene(self, i, scene):
-        """Replaces scene number i by another Scene, which the caller has put into the list."""
+        """Does nothing: `render` takes scene number i from the caller's list."""
 
     def render(self, scene_of, poses, targets):
         """Returns images (R, H, W, 3) uint8 RGB from poses (R, 3) in scenes (R,), given by index,

@@ -1,5 +1,5 @@
 """Draws a room from above and through the robot's camera, or reports what is wrong with it:
-`python -m scenes env1` writes env1.png in the current folder."""
+`python -m scenes env1` writes env1-room.png in the current folder."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from render import Camera
 from scenes import load
 from scenes.generate import share_blocked
+from scenes.places import are_clear
 from sim import CELL, SceneError
 from support.cli import option, parse
 from support.pictures import draw_map, draw_robot, draw_target
@@ -15,7 +16,8 @@ from support.pictures import draw_map, draw_robot, draw_target
 def facts(scene):
     """Returns one line about a Scene. `reachable` is a fraction of the floor without boxes."""
     centres = [np.arange(low + CELL / 2, high, CELL) for low, high in zip(*scene.bounds)]
-    floor = scene.clearance(np.stack(np.meshgrid(*centres), -1)) > 0  # (rows, columns) cells
+    grid = np.stack(np.meshgrid(*centres, indexing="ij"), -1).reshape(-1, 2)
+    floor = are_clear(scene, grid, 0)
     length, width = np.ptp(scene.bounds, axis=0)
     return (f"{length:.2f} m x {width:.2f} m, boxes: {len(scene.boxes)}, "
             f"training targets: {len(scene.training_targets)}, "
@@ -47,10 +49,11 @@ def main(argv=None):
     options, parser = parse({"scene": room}, "Draw a room or report what is wrong with it.", argv)
     try:
         scene = load(options.scene)
-        draw(scene).savefig(f"{scene.name}.png", dpi=110, bbox_inches="tight")
+        file = f"{scene.name}-room.png"  # a map may be map.yaml with map.png
+        draw(scene).savefig(file, dpi=110, bbox_inches="tight")
     except (SceneError, OSError) as error:
         parser.error(error)
-    print(f"{scene.name}.png", facts(scene), sep="\n")
+    print(file, facts(scene), sep="\n")
 
 
 if __name__ == "__main__":

@@ -39,7 +39,8 @@ def boxes_of(text, folder, start=None):
     check(negate in ("0", "1", "false", "true"), f"negate is {shown(negate)}; it must be 0 or 1")
     resolution = number(value(table["resolution"]), "resolution", 0.001, 1.0)
     x, y, yaw = numbers(value(table["origin"]), "origin", 3)
-    number(value(table["occupied_thresh"]), "occupied_thresh", 0, 1)  # others count as occupied
+    # Checked but not used: unknown cells are walls, as occupied ones are.
+    number(value(table["occupied_thresh"]), "occupied_thresh", 0, 1)
     grey = read_image(folder, table["image"])  # (X, Y), 255 is white
     occupancy = (grey if negate in ("1", "true") else 255 - grey) / 255
     free = occupancy < number(value(table["free_thresh"]), "free_thresh", 0, 1)
@@ -100,9 +101,12 @@ def merged(free, seed, resolution):
         if not coarse.any():
             break
         part = parts(coarse)
-        here = part[seed[0] // size, seed[1] // size] if seed else -1
-        if here < 0:
-            here = np.bincount(part[part >= 0], minlength=1).argmax()
+        if seed:
+            here = part[seed[0] // size, seed[1] // size]
+            check(here >= 0, f"its cells are merged to {size * resolution:.2f} m, and the one with "
+                  "the start is then not free; it must be farther from the walls")
+        else:
+            here = np.bincount(part[part >= 0]).argmax()
         inside = part == here
         x, y = [np.flatnonzero(inside.any(axis)) for axis in (1, 0)]
         inside = np.pad(inside[x[0]:x[-1] + 1, y[0]:y[-1] + 1], WALL)
@@ -117,7 +121,7 @@ def merged(free, seed, resolution):
 
 def rectangles(part):
     """Returns rectangles (left, bottom, right, top) of cells outside of a part (X, Y) bool, at most
-    one too many. They cover all its neighbours. Each one is grown from the first uncovered
+    MOST_BOXES + 1. They cover all its neighbours. Each one is grown from the first uncovered
     neighbour, first along one axis and then along the other, whichever order covers more."""
     blocked = ~part
     missing = blocked & np.any([np.roll(part, step, (0, 1)) for step in AROUND], axis=0)

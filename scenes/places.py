@@ -53,7 +53,8 @@ def largest_part(scene, start):
     border = np.ones_like(free)
     border[1:-1, 1:-1] = False
     outside = flood(free, border)
-    beyond = np.maximum(low - grid, grid - high).max(-1) + ROBOT_RADIUS  # past a fence, if > 0
+    # [m] how far the robot at each place would be past a fence around all boxes
+    beyond = np.maximum(low - grid, grid - high).max(-1) + ROBOT_RADIUS
     part = parts(free & (beyond <= TIE))
     cells = part >= 0
     if start:
@@ -68,12 +69,13 @@ def largest_part(scene, start):
             raise SceneError("the boxes do not enclose a place that the robot fits into")
         chosen = (size + enclosed).argmax()
     inside = part == chosen
-    exits = grid[inside & outside & (beyond > -GRID)]
+    exits = grid[inside & outside & (beyond > -GRID)]  # next to the fence
     return grid[inside], exits[len(exits) // 2] if len(exits) else None
 
 
 def parts(free):
-    """Returns which connected part each free cell belongs to, (X, Y) int; -1 if it is not free."""
+    """Returns the connected part that each free cell belongs to, (X, Y) int; -1 if not free. Each
+    cell begins as a part. Neighbours join their parts, until all neighbours are in the same one."""
     cell = np.arange(free.size).reshape(free.shape)
     across = free[1:] & free[:-1]
     along = free[:, 1:] & free[:, :-1]
@@ -109,7 +111,8 @@ def fence(bounds):
 
 
 def freest_place(scene, places):
-    """Returns the one of the places (P, 2) [m] that is farthest from all boxes."""
+    """Returns the one of the places (P, 2) [m] that is farthest from all boxes. Searches blocks of
+    places in the order of the most that is possible there, until no block can have more."""
     column, row = np.floor(places / BLOCK).astype(int).T
     blocks, block = np.unique(column * 10 ** 6 + row, return_inverse=True)
     order = np.argsort(block, kind="stable")  # places by block

@@ -48,7 +48,7 @@ def draw(folder, room=ROOM, turn=0.0, negate=0, **changed):
 
 
 def test_unknown_cells_are_occupied_also_in_maps_saved_by_ros_2(tmp_path):
-    """Their free_thresh is above the value of unknown cells. The room has an unknown place in it."""
+    """Their free_thresh is above the value of unknown cells. This room has some in the middle."""
     place = ROOM.reachable[len(ROOM.reachable) // 2]
     hole = scenes.Box("wall", *place.tolist(), 0.0, 0.3, 0.3, 1.0)
     path = draw(tmp_path, replace(ROOM, boxes=(*ROOM.boxes, hole)), image="/home/anna/map.pgm")

@@ -118,8 +118,8 @@ def test_the_reachable_fraction_of_an_empty_square_is_that_of_its_inner_square()
 def test_the_program_draws_a_room(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main(["env2"])
-    assert capsys.readouterr().out.startswith("env2.png\n5.00 m x 3.00 m, boxes: 8, ")
-    assert Path("env2.png").read_bytes().startswith(b"\x89PNG")
+    assert capsys.readouterr().out.startswith("env2-room.png\n5.00 m x 3.00 m, boxes: 8, ")
+    assert Path("env2-room.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("name, content, words", [

@@ -121,7 +121,7 @@ def with_model(content, place="0.3 0.2 0.3 0 0 0", name="thing", pose="pose"):
     f"<link>{BOX.replace('0.4', '0')}</link>",
     f"<link>{PERMEABLE.format('<collide_bitmask>0x00</collide_bitmask>')}</link>",
     f"<link>{PERMEABLE.format('<collide_without_contact>true</collide_without_contact>')}</link>",
-    f"<link>{BOX}</link><link name='WHEEL_left'/>",  # a robot
+    f"<link name='base_link'>{BOX}</link><link name='WHEEL_left'/>",  # a robot
     f"<link>{BOX}</link><plugin filename='libgazebo_ros_diff_drive.so'/>"])
 def test_what_the_robot_cannot_hit_is_left_out(content):
     assert len(parse_world(with_model(content)).boxes) == 5
@@ -140,8 +140,9 @@ STANDING = (0.3, 0.2, 0.0, 0.4, 0.3, 0.6)  # x, y, yaw, length, thickness, heigh
     (with_model(f"<link>{BOX}<sensor type='contact'/></link>"), STANDING),
     (with_model(f"<static>true</static><link>{BOX}</link>{WHEEL}"), STANDING),
     (with_model(f"<link name='base_link'>{BOX}</link><joint type='fixed'/>"), STANDING),
-    (with_model(f"<link>{BOX}</link><model name='r'><link name='wheel'>{BOX}</link></model>"),
-     STANDING),
+    (with_model(f"<link name='wheel_of_a_chair'>{BOX}</link>"), STANDING),
+    (with_model(f"<link>{BOX}</link><model name='r'><link name='wheel'>{BOX}</link>"
+                f"{WHEEL}</model>"), STANDING),
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0 0 0 0"), (*STANDING[:5], 0.3)),  # sunk
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 0.5 0 0 0"), (*STANDING[:5], 0.8)),  # hangs low
     (with_model(f"<link>{BOX}</link>", "0.3 0.2 -0.1 0 0 0"), (*STANDING[:5], 0.3)),  # 0.2 m high
@@ -187,6 +188,8 @@ def test_a_scaled_cylinder_is_a_union_of_boxes_within_3_percent_of_its_radius():
         assert ((clearance < 0) == is_inside).all()
     with pytest.raises(SceneError, match="is tilted; it must be upright"):
         parse_world(text.replace("<collision>", "<collision><pose>0 0 0 1.5708 0 0</pose>"))
+    with pytest.raises(SceneError, match="is scaled to an ellipse"):
+        parse_world(text.replace("2 2 1", "2 1 1"))
     ball = "<pose>0 0 0 1 1 0</pose><geometry><sphere><radius>0.2</radius></sphere></geometry>"
     text = text.replace(cylinder, ball).replace("2 2 1", "2 2 2.5")
     assert parse_world(text).boxes[5:] == tuple(replace(box, height=0.8) for box in boxes)
@@ -198,7 +201,7 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
     (tmp_path / "models" / "shelf").mkdir()
     (tmp_path / "models" / "crate" / "model.sdf").write_text(
         "<sdf><model name='c'><pose>9 9 9 0 0 0</pose><frame name='f'><pose>8.9 0.1 0 0 0 0</pose>"
-        f"</frame><link name='wheel'>{BOX}</link></model></sdf>")
+        f"</frame><link name='wheel'>{BOX}</link>{WHEEL}</model></sdf>")
     (tmp_path / "models" / "shelf" / "model.sdf").write_text(
         "<sdf version='1.6'><model name='s'><include><uri>model://crate</uri>"
         "<pose>9 0.1 0 0 0 0</pose><placement_frame>f</placement_frame><static>1</static>"
@@ -212,11 +215,11 @@ def test_models_from_a_folder_are_included_and_sun_and_ground_are_not_needed(tmp
     (tmp_path / "models" / "crate" / "model.sdf").write_text(
         "<sdf><model name='c'><include><uri>model://crate</uri></include></model></sdf>")
     (tmp_path / "model.sdf").write_text(GOOD)
-    with pytest.raises(SceneError, match="it includes 'model://..'; that must be"):
+    with pytest.raises(SceneError, match="it includes 'model://..'; its file must be"):
         parse_world(text.replace("://shelf", "://.."), "room", tmp_path / "worlds")
     with pytest.raises(SceneError, match="it includes models in models, more than 8 deep"):
         parse_world(text, "room", tmp_path / "worlds")
-    with pytest.raises(SceneError, match="'model://shelf'; that must be '../models/shelf/"):
+    with pytest.raises(SceneError, match="'model://shelf'; its file must be '../models/shelf/"):
         parse_world(text)
 
 
@@ -274,7 +277,7 @@ def test_a_link_may_have_several_collisions_each_with_its_place_and_material():
     ("<pose>0.6", "<pose relative_to='a'>0.6", "a pose is relative to 'a'; it must be a link"),
     (">0.3 0.3 0.6<", ">0.3 0.3 -0.6<", "size is (0.3, 0.3, -0.6); all of it must be at least 0"),
     ("<pose>0.6 0.6 0 0", "<pose>60 0.6 0 0", "the boxes extend over 61.25 m; it must be at most"),
-    ("<box><size>0.3 0.3 0.6</size></box>", "<mesh/>", "is a 'mesh'; it must be one box")])
+    ("<box><size>0.3 0.3 0.6</size></box>", "<mesh/>", "is a 'mesh'; it must be a box")])
 def test_a_world_that_is_not_a_room_gives_one_sentence(old, new, words):
     assert old in GOOD
     with pytest.raises(SceneError, match=re.escape(words)) as error:

@@ -20,16 +20,16 @@ from sim import CAMERA_HEIGHT, Box, SceneError, wrap_angle
 MATERIAL_OF = {"Gazebo/Bricks": "brick", "Gazebo/Wood": "wood"}  # any other or none: wall
 WITHOUT_WALLS = ("sun", "ground_plane")  # ends of the names of Gazebo models to leave out
 IN_MODEL = ("link", "frame", "model", "joint")  # elements that a pose can be relative to
-BASES = ("base_link", "base_footprint")  # a robot's link, if it has joints that turn
+BASES = ("base_link", "base_footprint")  # names of a robot's first link
 DRIVES = ("diff_drive", "diffdrive", "skid_steer", "planar_move", "ackermann", "mecanum")  # plugins
 DEEPEST = 8  # models in models, our choice
 UPRIGHT = math.radians(1.2)  # [rad] tilts below this count as 0, our choice
 ON_FLOOR = 0.01  # [m] the robot drives over what is lower, our choice
 OVERHEAD = 0.6  # [m] the robot passes under what begins above this, our choice
 LOWEST = 0.3  # [m] what is lower is drawn this high, because the camera draws no tops, our choice
-SIDES = 5  # boxes that form a cylinder: their union has ten sides
-# The decagon is as far outside of the circle, at its corners, as it is inside, at its sides: 2.5 %.
-CORNER = 2 / (1 + math.cos(math.pi / 10))  # [radii] distance of its corners from the axis
+SIDES = 5  # boxes of a round solid, which becomes a decagon: each box joins two opposite sides
+# The decagon's corners are as far outside of the circle as the middles of its sides are inside.
+CORNER = 2 / (1 + math.cos(math.pi / 10))  # [radii] distance of the corners from the centre
 
 
 @dataclass
@@ -129,7 +129,8 @@ def included(include, folder):
     path = (folder or Path()) / ".." / "models" / name / "model.sdf"
     is_name = all(part.strip(".") and Path(part).name == part for part in name.split("/"))
     check(folder is not None and is_name and path.is_file(),
-          f"it includes {shown(uri)}; that must be '../models/{name}/model.sdf' beside its file")
+          f"it includes {shown(uri)}; its file must be '../models/{name}/model.sdf', seen from the "
+          "world's folder")
     model = read_xml(path.read_text("utf-8-sig")).find("model")
     check(model is not None, f"'../models/{name}/model.sdf' has no model")
     model.set("name", include.findtext("name", model.get("name", name)).strip())
@@ -142,15 +143,16 @@ def included(include, folder):
 
 
 def is_robot(model):
-    """Returns whether a model can move and has wheels, a drive, or a robot's base and joints. Other
-    models in it do not count."""
+    """Returns whether a model can move and has a drive, or two of these: a wheel, a robot's base, a
+    joint that turns. Other models in it do not count."""
     names = [part.get("name", "").lower() for part in model if part.tag in ("link", "joint")]
     plugins = [(plugin.get("filename", "") + plugin.get("name", "")).lower()
                for plugin in model.findall("plugin")]
-    turns = any(joint.get("type") != "fixed" for joint in model.findall("joint"))
-    return model.findtext("static", "").strip() not in ("1", "true") and (
-        any("wheel" in name or turns and name in BASES for name in names)
-        or any(drive in plugin for plugin in plugins for drive in DRIVES))
+    has_drive = any(drive in plugin for plugin in plugins for drive in DRIVES)
+    signs = (any("wheel" in name for name in names), any(name in BASES for name in names),
+             any(joint.get("type") != "fixed" for joint in model.findall("joint")))
+    is_static = model.findtext("static", "").strip() in ("1", "true")
+    return not is_static and (has_drive or sum(signs) >= 2)
 
 
 def solids_of_model(model, place, state, robots):
@@ -160,7 +162,7 @@ def solids_of_model(model, place, state, robots):
     name = shown(model.get("name"))
     place = stated(state, place)
     if is_robot(model):
-        remarks.warning("model %s is a robot and is left out", name)
+        remarks.warning("model %s is a robot: it is left out, and its place is the start", name)
         robots.append((*place[:2, 3].tolist(), math.atan2(place[1, 0], place[0, 0])))
         return []
     if model.find("plugin") is not None:
@@ -197,7 +199,7 @@ def solids_of_link(link, place, scale, what):
         if tags in ([], ["empty"], ["plane"]) or is_permeable(collision):
             continue
         check(tags in (["box"], ["cylinder"], ["sphere"]),
-              f"{what} is a {shown(' and a '.join(tags))}; it must be one box, cylinder or sphere")
+              f"{what} is a {shown(' and a '.join(tags))}; it must be a box, cylinder or sphere")
         if tags == ["box"]:
             size = read_numbers(shapes[0].findtext("size"), 3, f"{what}.size")
         else:
@@ -206,6 +208,7 @@ def solids_of_link(link, place, scale, what):
             if tags == ["cylinder"]:
                 [height] = read_numbers(shapes[0].findtext("length"), 1, f"{what}.length")
             size = (2 * radius, 2 * radius, height)
+            check(scale[0] == scale[1], f"{what} is scaled to an ellipse; x and y must be equal")
         size = tuple(np.multiply(size, scale).tolist())
         check(min(size) >= 0, f"{what}.size is {size}; all of it must be at least 0")
         pose = place @ pose_in(link, collision)
@@ -243,7 +246,8 @@ def in_the_way(solids):
               if solid.top > CAMERA_HEIGHT or solid.length * solid.thickness < most]
     lower = [solid.what for solid in solids if solid.top <= CAMERA_HEIGHT]
     if lower:
-        remarks.warning("lower than the camera, but drawn %.1f m high: %s", LOWEST, shown(lower))
+        remarks.warning("lower than the camera, but drawn %.1f m high: %s%s", LOWEST,
+                        ", ".join(lower[:3]), f" and {len(lower) - 3} more" * (len(lower) > 3))
     check(solids, "it has only a floor")
     return [box for solid in solids for box in solid.boxes]
 
