@@ -122,7 +122,7 @@ def lab_runs():
 
 def drawn_runs():
     """Returns the run of any-room's policy that goes on with errors and looks drawn at random."""
-    options = {"env": RANDOM, "targets": "anywhere", "reality": "random", "steps": 2_000_000,
+    options = {"env": RANDOM, "targets": "anywhere", "reality": "random", "steps": 1_000_000,
                "init": WEIGHTS["any-room"]}
     return [Run("drawn", {"way": "drawn-errors", "seed": 0}, options, {})]
 
