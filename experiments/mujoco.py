@@ -21,6 +21,7 @@ from support.runs import write
 from support.weights import load_model
 
 EPISODES = 300  # of each cell
+ROBOT = ("kobuki.xml", "mujoco_robot.py")
 ROOMS = ("env1", "env2", "maze0", "maze4")  # for policies that drive in any room
 LEVEL_2 = ("env1", "env2")  # policies, and the room of each
 CELL = ("policy", "room", "protocol", "simulator", "weights")  # columns that name a cell
@@ -89,13 +90,16 @@ ERRORS = {name: Reality(appearance="lab") for name in LOOKS} | {
 
 
 def cells():
-    """Returns the cells of the table: policy, room, protocol, simulator, digest of the weights."""
+    """Returns the cells of the table: policy, room, protocol, simulator, digest of the weights and
+    of the robot's files."""
+    robot = b"".join((ROOT / "robot" / name).read_bytes() for name in ROBOT)
     # From one start pose, mean actions would repeat one episode: start and target are perturbed.
     chosen = [(room, room, "perturbed", name) for room in LEVEL_2 for name in WHOLE]
     chosen += [("any-room", room, "anywhere", name) for name in SIMULATORS for room in ROOMS]
     chosen += [("drawn-errors", room, "anywhere", name) for name in WHOLE | LOOKS
                for room in ROOMS]
-    return [(policy, *others, hashlib.sha256(weights(policy).read_bytes()).hexdigest()[:8])
+    return [(policy, *others,
+             hashlib.sha256(weights(policy).read_bytes() + robot).hexdigest()[:8])
             for policy, *others in chosen if weights(policy).exists()]
 
 
@@ -107,7 +111,9 @@ def weights(policy):
 def write_mujoco(episodes=EPISODES):
     """Makes mujoco.csv. Keeps the cells that have the same weights and number of episodes."""
     path = RESULTS / "mujoco.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    rows = []
+    if path.exists():
+        rows = pd.read_csv(path, dtype={"weights": str}).to_dict("records")
     known = {}  # cell -> its rows
     for row in rows:
         if row["n"] == episodes:

@@ -27,6 +27,7 @@ from scenes.reality import Reality
 from support.cli import parse
 from support.run_folder import check_config
 from support.runs import RunError
+from support.weights import load_model
 
 PUBLISHED = set(runs.PRETRAINED.values())
 EVERY = [*LEVEL_1, *LEVEL_2, *runs.ANY_TARGET, *runs.BUDGET, *LEVEL_2_ABLATIONS, *DELTAS, *LEVEL_3,
@@ -242,6 +243,30 @@ def test_a_table_of_mujoco_keeps_cells_with_the_same_weights_and_number_of_episo
         assert (rows.n == episodes).all()
 
 
+def test_a_cell_is_measured_with_its_policy_protocol_simulator_and_errors(monkeypatch):
+    seen = {}
+
+    def evaluate(driver, rooms, n, protocol, actions, environment, workers):
+        seen.update(driver=driver, room=rooms[0], rest=(n, protocol, actions, environment))
+        return {"training": RATE, "new": RATE, "anywhere": None}, []
+
+    monkeypatch.setattr(mujoco, "evaluate", evaluate)
+    for name, kind, look, delay in (
+            ("ours", mujoco.RealVecEnv, None, None), ("MuJoCo", mujoco.MujocoVecEnv, None, None),
+            ("MuJoCo with late images", mujoco.MujocoVecEnv, "simulation", 1.0),
+            ("ours with the lab's look", mujoco.RealVecEnv, "lab", 0.0),
+            ("MuJoCo with the lab's look", mujoco.MujocoVecEnv, "lab", 0.0)):
+        rows = mujoco.measure("env2", "maze0", "perturbed", name, "a1", n=7)
+        assert seen["rest"] == (7, "perturbed", "mean", kind)
+        assert [row["targets"] for row in rows] == ["training", "new"]
+        assert seen["room"].boxes == scenes.load("maze0").boxes
+        errors = seen["room"].reality
+        assert (errors and errors.appearance, errors and errors.image_delay) == (look, delay)
+    weights = load_model(ROOT / "pretrained" / "env2.safetensors")[0].state_dict()
+    assert all((value == weights[key]).all()
+               for key, value in seen["driver"].model.state_dict().items())
+
+
 @pytest.mark.usefixtures("installed")
 def test_each_mixture_of_the_simulations_takes_the_part_that_it_names():
     seen = {}
@@ -249,11 +274,13 @@ def test_each_mixture_of_the_simulations_takes_the_part_that_it_names():
         room = replace(scenes.load("env2"), reality=mujoco.ERRORS.get(name))
         env = environment(1, [room], "training")
         first, _ = env.reset(seed=0, options={"start": env.scenes[0].start, "target": 0})
-        observed, *_ = env.step(np.array([[1.0, 0.0]]))
+        observed, *_ = env.step(np.array([[1.0, 0.5]]))
         assert (observed["image"] == first["image"]).all() == (name == "MuJoCo with late images")
         moved = np.hypot(*(env.world.poses[0] - env.starts[0])[:2])
         off = np.abs(env.estimates - env.world.poses).max()
-        seen[name] = observed["image"][0].astype(int), round(moved, 3), off > 1e-6
+        turned = env.world.poses[0, 2] - env.starts[0][2]
+        seen[name] = observed["image"][0].astype(int), round(moved, 2), off > 1e-6
+        assert turned == pytest.approx(0.2 if round(moved, 2) == 0.12 else 0.15, abs=0.01)
     assert {name: row[1:] for name, row in seen.items()} == {
         "ours": (0.12, False), "MuJoCo": (0.09, True), "MuJoCo with our images": (0.09, True),
         "MuJoCo with a level camera": (0.09, True), "MuJoCo with the true pose": (0.09, False),

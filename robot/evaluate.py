@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from evaluation import __main__ as evaluation
 from robot.environment import environment_of
 from support.cli import option
+from support.runs import RunError
 
 
 @dataclass
@@ -21,6 +22,9 @@ class Options(evaluation.Options):
             return environment_of(scenes, self.ring), suffix
         from robot import mujoco_robot  # loads MuJoCo
         mujoco_robot.check_installed()
+        if self.planner:
+            raise RunError(f"--planner {self.planner} does not work with --simulator mujoco: "
+                           "planners expect exact motion")
         kinds = mujoco_robot.MujocoVecEnv, mujoco_robot.MujocoRingVecEnv
         return kinds[self.ring], f"{suffix}-mujoco"
 

@@ -21,8 +21,8 @@ from sim import CONTROL_PERIOD, wrap_angle
 from support.runs import RunError
 from support.textures import BLUE, PERIOD, SUN, TEXEL
 
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # how MuJoCo renders; read when it is imported
+if sys.platform == "linux":  # read when MuJoCo is imported; EGL needs no display
+    os.environ.setdefault("MUJOCO_GL", "egl")
 try:
     import mujoco
 except Exception as error:  # without a library to render with, not only ImportError
@@ -49,8 +49,8 @@ def check_installed():
     try:
         mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), H, W).close()
     except Exception as error:  # each library raises its own
-        raise RunError("MuJoCo cannot render without a display: unset MUJOCO_GL, and on Linux apt "
-                       f"install libegl1 libgl1-mesa-dri ({type(error).__name__})") from None
+        raise RunError("MuJoCo cannot render: unset MUJOCO_GL, and on Linux apt install libegl1 "
+                       f"libgl1-mesa-dri ({type(error).__name__})") from None
 
 
 @functools.lru_cache(maxsize=128)
@@ -66,7 +66,9 @@ def compiled(scene):
                              specular=(0, 0, 0))
     spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=8, height=48,
                      builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=np.divide(paints.sky, 255))
-    for name, colour in (("floor", paints.floor), ("cube", BLUE)):
+    spec.geom("floor").pos[:2] = scene.bounds.mean(0)
+    lit = min(ambient + diffuse * sun[2], 1)  # light on the floor; ours paints it without light
+    for name, colour in (("floor", np.divide(paints.floor, lit)), ("cube", BLUE)):
         add_material(spec, name, np.full((1, 1, 3), colour))
         spec.geom(name).material = name
     for material in {box.material for box in scene.boxes}:
@@ -160,7 +162,7 @@ class MujocoWorld:
             self.wheels[r] = data.qpos[WHEELS]
             for t in range(1, STEPS + 1):
                 mujoco.mj_step(model, data)
-                self.wheels[r, t:] = data.qpos[WHEELS]
+                self.wheels[r, t:] = data.qpos[WHEELS]  # also for the rest, after a collision
                 if (data.contact.geom == body).any():
                     hit[r] = True
                     break
@@ -187,9 +189,17 @@ class MujocoWorld:
         for r, pose in enumerate(self.poses):
             headings = pose[2] + np.asarray(angles)
             rays = np.stack([np.cos(headings), np.sin(headings), 0 * headings], -1)
+            # Of these groups, also static boxes, except body -1; to hits and readings, no normals.
             mujoco.mj_multiRay(self.models[r], self.data[r], (*pose[:2], RAY_HEIGHT), rays.ravel(),
                                groups, True, -1, hits, readings[r], None, len(angles), max_range)
         return np.where(readings < 0, max_range, np.minimum(readings, max_range))  # -1: no wall
+
+
+@functools.lru_cache(maxsize=64)
+def view(scene):
+    """Returns the MjModel, an MjData and the Renderer of a Scene."""
+    model = compiled(scene)
+    return model, mujoco.MjData(model), mujoco.Renderer(model, H, W)
 
 
 class MujocoCamera:
@@ -200,7 +210,6 @@ class MujocoCamera:
         given, camera i is tilted like robot i of this MujocoWorld; otherwise it is level."""
         self.scenes = scenes
         self.world = world
-        self._views = {}  # Scene -> its MjModel, MjData and Renderer
 
     def set_scene(self, i, scene):
         """Does nothing: `render` takes scene number i from the caller's list."""
@@ -210,9 +219,8 @@ class MujocoCamera:
         with target cubes at (R, 2) [m]."""
         images = np.empty((len(poses), H, W, 3), np.uint8)
         for image, i, pose, target in zip(images, scene_of, poses, targets):
-            model, data, renderer = self._view(self.scenes[i])
-            if self.world is not None:
-                data.qpos[:] = self.world.data[i].qpos
+            model, data, renderer = view(self.scenes[i])
+            data.qpos[:] = model.qpos0 if self.world is None else self.world.data[i].qpos
             data.qpos[POSE] = pose
             data.mocap_pos[0, :2] = target
             mujoco.mj_kinematics(model, data)
@@ -220,13 +228,6 @@ class MujocoCamera:
             renderer.update_scene(data, "camera")
             renderer.render(out=image)
         return images
-
-    def _view(self, scene):
-        """Returns the MjModel, MjData and Renderer of a Scene, made on first use."""
-        if scene not in self._views:
-            model = compiled(scene)
-            self._views[scene] = model, mujoco.MjData(model), mujoco.Renderer(model, H, W)
-        return self._views[scene]
 
 
 class MujocoVecEnv(RealVecEnv):
