@@ -216,6 +216,21 @@ def passage(trace):
                 if not width or (flood(clearance > width / 2, start) & goal).any())
 
 
+def draw_level3_curves(curves, earlier):
+    """Draws success of the watched robots against steps, with and without a limit of the noise."""
+    figure, axes = page(3.4)
+    for rows, colour, label in ((earlier, "paper", "without a lower limit of the noise"),
+                                (curves, "varied", "any-room")):
+        for seed, run in rows.groupby("seed"):
+            axes.plot(run.steps / 1e6, run.validation_success, color=PALETTE[colour], lw=1.6,
+                      label=None if seed else label)
+    axes.set(ylim=(0, 103), xlabel="million steps, summed over robots",
+             ylabel="success rate in training,\nvalidation rooms [%]")
+    axes.grid(alpha=0.3)
+    legend_below(figure, ncols=2)
+    return figure
+
+
 def draw_touches():
     """Draws where the any-room policy collides in two rooms, and its success in the validation
     rooms by the width of the narrowest passage."""
@@ -314,10 +329,10 @@ def film_mujoco():
     return replace(trace, label="in MuJoCo, protocol anywhere")
 
 
-def draw_delta(deltas, delta, part):
+def draw_delta(deltas, complete, reduced, part):
     """Draws the success rate against steps with a part of the learner and without it."""
     figure, axes = page(3.4)
-    for name, colour, text in (("lesson", "robot", "with"), (delta, "run", "without")):
+    for name, colour, text in ((complete, "robot", "with"), (reduced, "run", "without")):
         runs = deltas[deltas.delta == name].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
@@ -405,10 +420,13 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env1.png": lambda: draw_fig6("env1"),
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
-    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lambda", "GAE"),
-    "delta-clipping.png": lambda: draw_delta(read("deltas.csv"), "clipping", "clipping"),
+    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lesson", "lambda", "GAE"),
+    "delta-clipping.png":
+        lambda: draw_delta(read("deltas.csv"), "passes", "clipping", "clipping"),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
+    "level3-curves.png":
+        lambda: draw_level3_curves(read("level3-curves.csv"), read("without-limit.csv")),
     "any-room.png": draw_any_room,
     "touches.png": draw_touches,
     "any-room.gif": lambda: film_episode(  # an arrival; about one episode in five fails

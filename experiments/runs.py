@@ -16,6 +16,7 @@ LAB_RATES = (*RATES[:-1], "standing", "stops", "spl")
 PAPER_ROOMS = {"env1": 250_000, "env2": 400_000}  # room -> training steps at level 2
 TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # never used for training
 WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # level 2
+PART = 500_000  # steps per point of level3-curves.csv
 STOP_WORKERS = (1, 2, 4)  # numbers of processes of the runs that stop by the paper's rule
 BUDGETS = (100_000, 150_000)  # steps in env1
 HIDDEN = ("place", "cube", "both")  # parts of the observation
@@ -88,7 +89,7 @@ def level_2_runs(ways, seeds):
 
 def level_3_runs():
     """Returns the runs with random targets in random rooms, the long runs first."""
-    ways = {"any-room": {"steps": 8_000_000}}
+    ways = {"any-room": {"steps": 20_000_000}}
     counts = (1, 4, 16, 64, 256, 0)  # numbers of training rooms; 0: always new ones
     ways |= {f"rooms-{count}": {"rooms": count} for count in counts} | ABLATIONS
     tests = dict.fromkeys(ways, in_rooms(TEST_ROOMS, "anywhere", 100))
@@ -203,6 +204,16 @@ def curve_rows(run):
     return rows
 
 
+def part_rows(run):
+    """Returns a run's rows of level3-curves.csv, one for each PART of its steps."""
+    episodes = run.read("episodes.csv")
+    arrived = episodes.outcome == "arrival"
+    parts = arrived.groupby([(episodes.steps - 1) // PART, episodes.kind]).mean().unstack()
+    return [run.names | {"steps": (part + 1) * PART, "training_success": round(rates.training, 4),
+                         "validation_success": round(rates.new, 4)}
+            for part, rates in parts.iterrows()]
+
+
 def delta_rows(run):
     """Returns a run's rows of deltas.csv, one per 100 training episodes."""
     frozen = round(run.read("evaluation-anywhere.json")["anywhere"]["success"], 3)
@@ -232,9 +243,12 @@ LEVEL_2_ABLATIONS = level_2_runs(ABLATIONS | {"one-room": {"mirrored": 0.0}}, ra
 DELTAS = [  # the lesson, and variants with one changed option
     Run("delta", {"delta": name, "seed": seed}, {"env": "env1", "steps": 120_000} | options,
         {"anywhere": {"protocol": "anywhere", "episodes": 300}})
-    for name, options in {"lesson": {}, "lambda": {"lam": 1.0}, "clipping": {"clip": 1e9}}.items()
+    for name, options in {
+        "lesson": {}, "lambda": {"lam": 1.0},
+        "passes": {"epochs": 2}, "clipping": {"epochs": 2, "clip": 1e9}}.items()
     for seed in range(3)]
 LEVEL_3 = level_3_runs()
+ANY_ROOM = [run for run in LEVEL_3 if run.names["way"] == "any-room"]
 LAB = lab_runs()
 DRAWN = drawn_runs()
 TABLES = {  # file in results/ -> its runs, function that returns the rows of a run
@@ -246,6 +260,7 @@ TABLES = {  # file in results/ -> its runs, function that returns the rows of a 
     "carry-over.csv": ([run for run in LEVEL_2 if run.names["way"] == "varied"], room_rows),
     "ablations.csv": (LEVEL_2_ABLATIONS, summary_rows), "deltas.csv": (DELTAS, delta_rows),
     "level3.csv": (LEVEL_3, summary_rows), "rooms.csv": (LEVEL_3, room_rows),
+    "level3-curves.csv": (ANY_ROOM, part_rows),
     "lab.csv": (LAB, summary_rows), "drawn.csv": (DRAWN, summary_rows)}
 PRETRAINED = {  # name -> run with its weights, always seed 0, not the best seed
     "env1": "level2-env1-varied-seed0", "env1-memorized": "level2-env1-one-start-seed0",

@@ -107,12 +107,12 @@ def group_rows(files, query, groups, columns, cell=each):
 
 
 def summary():
-    """Returns level 2, and the any-room policies in the same test."""
+    """Returns level 2, and the any-target and any-room policies in the same test."""
     rooms = read("rooms.csv").query("way == 'any-room' and room in ['env1', 'env2']")
     rooms = rooms.rename(columns={"room": "env"}).pivot(
         index=["env", "way", "seed"], columns="targets", values="success").add_suffix("_success")
-    return grouped(pd.concat([read("seeds.csv").sort_values("way"), rooms.reset_index()]),
-                   "env way", "training_success new_success anywhere_success", mean_and_worst)
+    rows = [read("seeds.csv").sort_values("way"), read("any-target.csv"), rooms.reset_index()]
+    return grouped(pd.concat(rows), "env way", "training_success new_success anywhere_success", mean_and_worst)
 
 
 def hidden():
@@ -231,7 +231,8 @@ def measured(section):
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
     carry_over, level3_rooms, level3_planners, lab, lab_errors, mujoco, mujoco_mixed, peaks, stops,
     stop_ranges, budgets, benchmark)}
-TABLES["headline"] = lambda: summary().drop(columns="training_success")
+TABLES["headline"] = lambda: summary().drop(
+    columns="training_success").drop("any-target", level="way")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}
 TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "programs")}

@@ -19,8 +19,8 @@ import robot.train
 import scenes
 import train
 from experiments import mujoco, results, runs
-from experiments.runs import (DELTAS, LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3, TABLES,
-                              Run)
+from experiments.runs import (ANY_ROOM, DELTAS, LAB, LEVEL_1, LEVEL_2, LEVEL_2_ABLATIONS, LEVEL_3,
+                              TABLES, Run)
 from experiments.tables import ROOT
 from robot.test_mujoco import installed  # noqa: F401  a fixture
 from scenes.reality import Reality
@@ -89,7 +89,7 @@ def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folde
                 assert (ROOT / prepared.folder).resolve() == run.folder
                 assert prepared.suffix == f"-{name}"
     folders = {run.folder.name for run in EVERY}
-    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 10 + 36 + 9 + 36 + 26 + 1 + 20
+    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 10 + 36 + 12 + 36 + 26 + 1 + 20
     assert PUBLISHED < folders
 
 
@@ -117,7 +117,7 @@ def test_rows_have_the_columns_of_the_published_table_and_replace_older_ones(nam
     pd.testing.assert_frame_equal(*others)
 
 
-def test_rows_have_the_numbers_of_the_evaluations_and_the_episodes(folder):
+def test_rows_have_the_numbers_of_the_evaluations_and_the_episodes(folder, monkeypatch):
     episodes = finish(LEVEL_2[0])
     [row] = runs.summary_rows(LEVEL_2[0])
     assert {"steps": 64, "new_success": 0.3333, "anywhere_spl": 0.1235,
@@ -133,6 +133,12 @@ def test_rows_have_the_numbers_of_the_evaluations_and_the_episodes(folder):
     point = runs.delta_rows(DELTAS[0])[0]
     assert (point["steps"], point["frozen"]) == (last.steps.max(), 0.333)
     assert point["success"] == (last.outcome == "arrival").sum() / 100
+    finish(ANY_ROOM[0])
+    monkeypatch.setattr(runs, "PART", 1000)
+    [second] = [row for row in runs.part_rows(ANY_ROOM[0]) if row["steps"] == 2000]
+    part = episodes[(episodes.kind == "new") & (episodes.steps > 1000) & (episodes.steps <= 2000)]
+    rate = (part.outcome == "arrival").sum() / len(part)
+    assert second["validation_success"] == pytest.approx(rate, abs=1e-4)
     finish(LEVEL_1[0])
     assert runs.summary_rows(LEVEL_1[0])[0]["steps_to_stop"] == ""  # half of them arrive
     episodes.outcome = ["timeout"] * 200 + ["arrival"] * 200
