@@ -135,7 +135,7 @@ class Session(Feed):
         pose = self._env.world.poses[0]
         goal = tuple(self._env.goals[0].tolist())
         new = replace(old, boxes=boxes, start=tuple(pose.tolist()))
-        scenes.check_width(new)
+        scenes.check_size(new)
         check_robot(new, pose)
         check_target(new, goal)
 
