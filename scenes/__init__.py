@@ -99,11 +99,7 @@ def start_of(text):
     """Returns the pose (x [m], y [m], heading [rad]) in a text `x,y,degrees`; None if empty."""
     if not text:
         return None
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError:
-        values = text
-    x, y, degrees = numbers(values, "the start after '@'", 3)
+    x, y, degrees = numbers_in(text.replace(",", " "), 3, "the start after '@'")
     return x, y, math.radians(degrees)
 
 
@@ -214,6 +210,15 @@ def numbers(value, what, count, *limits):
     check(isinstance(value, (list, tuple)) and len(value) == count,
           f"{what} is {shown(value)}; it must be a list of {count} numbers")
     return tuple(number(item, f"{what}[{k}]", *limits) for k, item in enumerate(value))
+
+
+def numbers_in(text, count, what):
+    """Returns the `count` numbers in a text, separated by spaces, as a tuple of floats."""
+    try:
+        values = [float(word) for word in (text or "").split()]
+    except ValueError:
+        values = text
+    return numbers(values, what, count)
 
 
 def number(value, what, low=-LARGEST, high=LARGEST):

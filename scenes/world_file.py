@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from scenes import check, numbers, shown
+from scenes import check, numbers_in, shown
 from scenes.generate import as_scene
 from scenes.places import remarks
 from sim import CAMERA_HEIGHT, Box, SceneError, wrap_angle
@@ -93,7 +93,8 @@ def read_xml(text):
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
-    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartDoctypeDeclHandler = lambda *_: check(False, "it has a DOCTYPE, which can define "
+                                                             "entities; it must be plain SDF")
     # Unlike XML, Gazebo accepts a comment before the declaration. Lines keep their numbers.
     text = re.sub("<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.S)
     try:
@@ -101,11 +102,6 @@ def read_xml(text):
     except expat.ExpatError as error:
         raise SceneError(f"it is not valid XML: {error}") from None
     return builder.close()
-
-
-def refuse_doctype(*_):
-    """Raises SceneError: document types can define entities, which no world needs."""
-    raise SceneError("it has a DOCTYPE; it must be plain SDF")
 
 
 def expand(parent, folder, depth=0):
@@ -171,7 +167,7 @@ def solids_of_model(model, place, state, robots):
     moved = {}
     inner = {}
     if state is not None:
-        scale = read_numbers(state.findtext("scale", "1 1 1"), 3, f"model {name}.scale")
+        scale = numbers_in(state.findtext("scale", "1 1 1"), 3, f"model {name}.scale")
         moved = {link.get("name"): link for link in state.iterfind("link")}
         inner = {other.get("name"): other for other in state.iterfind("model")}
     solids = []
@@ -201,12 +197,12 @@ def solids_of_link(link, place, scale, what):
         check(tags in (["box"], ["cylinder"], ["sphere"]),
               f"{what} is a {shown(' and a '.join(tags))}; it must be a box, cylinder or sphere")
         if tags == ["box"]:
-            size = read_numbers(shapes[0].findtext("size"), 3, f"{what}.size")
+            size = numbers_in(shapes[0].findtext("size"), 3, f"{what}.size")
         else:
-            [radius] = read_numbers(shapes[0].findtext("radius"), 1, f"{what}.radius")
+            [radius] = numbers_in(shapes[0].findtext("radius"), 1, f"{what}.radius")
             height = 2 * radius
             if tags == ["cylinder"]:
-                [height] = read_numbers(shapes[0].findtext("length"), 1, f"{what}.length")
+                [height] = numbers_in(shapes[0].findtext("length"), 1, f"{what}.length")
             size = (2 * radius, 2 * radius, height)
             check(scale[0] == scale[1], f"{what} is scaled to an ellipse; x and y must be equal")
         size = tuple(np.multiply(size, scale).tolist())
@@ -288,7 +284,7 @@ def matrix(pose, what):
     form = pose.get("rotation_format", "euler_rpy")
     check(form == "euler_rpy", f"the pose of {what} has the rotation_format {shown(form)}; it must "
                                "be euler_rpy")
-    *place, roll, pitch, yaw = read_numbers(pose.text or "0 0 0 0 0 0", 6, f"the pose of {what}")
+    *place, roll, pitch, yaw = numbers_in(pose.text or "0 0 0 0 0 0", 6, f"the pose of {what}")
     unit = math.radians(1) if pose.get("degrees") in ("1", "true") else 1.0
     result = np.eye(4)
     for axis, angle in ((2, yaw), (1, pitch), (0, roll)):  # R = Rz Ry Rx
@@ -300,12 +296,3 @@ def matrix(pose, what):
         result = result @ turn
     result[:3, 3] = place
     return result
-
-
-def read_numbers(text, count, what):
-    """Returns the `count` numbers in a text, separated by spaces, as a tuple of floats."""
-    try:
-        values = [float(word) for word in (text or "").split()]
-    except ValueError:
-        values = text
-    return numbers(values, what, count)
