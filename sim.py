@@ -127,11 +127,10 @@ class Scene:
             near = np.ix_(np.abs(x - box.x) < half[0], np.abs(y - box.y) < half[1])
             free[near] &= replace(self, boxes=(box,)).clearance(grid[near]) > ROBOT_RADIUS
         flooded = flood(free, np.abs(grid - self.start[:2]).max(-1) <= CELL)
-        exits = np.concatenate([grid[[0, -1]][flooded[[0, -1]]],
-                                grid[:, [0, -1]][flooded[:, [0, -1]]]])
-        if len(exits):
-            raise SceneError("the room is not closed: the robot can drive out of it at "
-                             f"({exits[0, 0]:.2f}, {exits[0, 1]:.2f})")
+        exits = [*grid[[0, -1]][flooded[[0, -1]]], *grid[:, [0, -1]][flooded[:, [0, -1]]]]
+        if exits:
+            x, y = exits[0]
+            raise SceneError(f"the room is not closed: the robot can leave at ({x:.2f}, {y:.2f})")
         return grid[flooded]
 
     def own_start(self, rng):

@@ -112,7 +112,8 @@ def summary():
     rooms = rooms.rename(columns={"room": "env"}).pivot(
         index=["env", "way", "seed"], columns="targets", values="success").add_suffix("_success")
     rows = [read("seeds.csv").sort_values("way"), read("any-target.csv"), rooms.reset_index()]
-    return grouped(pd.concat(rows), "env way", "training_success new_success anywhere_success", mean_and_worst)
+    columns = "training_success new_success anywhere_success"
+    return grouped(pd.concat(rows), "env way", columns, mean_and_worst)
 
 
 def hidden():

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 import scenes
 from render import CAMERA_OFFSET, CUBE_SIZE, FAR, FOCAL, NEAR, Camera
-from robot import mujoco_robot
+from robot import evaluate, mujoco_robot
 from robot.appearance import LabCamera
 from robot.environment import WHEELBASE
 from robot.lab import LabRobot
@@ -226,3 +226,9 @@ def test_a_missing_package_is_one_sentence(code, words):
     run = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, text=True,
                          capture_output=True)
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and words in run.stderr
+
+
+def test_planners_are_refused(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        evaluate.main("--planner bug --simulator mujoco".split())
+    assert "planners expect exact motion" in capsys.readouterr().err

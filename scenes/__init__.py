@@ -1,4 +1,4 @@
-"""Loads rooms: a TOML file such as `scenes/env1.toml`, a Gazebo world or a map of ROS becomes a
+"""Loads rooms: a TOML file such as `scenes/env1.toml`, a Gazebo world or a ROS map becomes a
 `sim.Scene` (docs/rooms.md). TOML files are in metres and degrees, Scenes in metres and radians, all
 in world coordinates."""
 
@@ -18,7 +18,7 @@ from sim import ARRIVAL_DISTANCE, CAMERA_HEIGHT, ROBOT_RADIUS, Box, Scene, Scene
 MATERIALS = ("wall", "brick", "wood")  # the camera has a texture for each
 SCENE_FOLDER = Path(__file__).parent
 WORLDS = (".world", ".sdf")  # suffixes of Gazebo worlds and models
-MAPS = (".yaml", ".yml")  # suffixes of maps of ROS
+MAPS = (".yaml", ".yml")  # suffixes of ROS maps
 # Limits, our choice: in a huge room everything takes minutes.
 MOST_BOXES = 512
 MOST_TARGETS = 1024
@@ -36,7 +36,7 @@ def names():
 
 def load(name_or_path):
     """Returns the Scene for a name in `scenes/`, for `random:SEED`, or for a file: TOML, a Gazebo
-    world or a map of ROS. Worlds and maps have no start: `FILE@x,y,degrees` chooses one. Raises
+    world or a ROS map. Worlds and maps have no start: `FILE@x,y,degrees` chooses one. Raises
     SceneError with one sentence that names the file and the item."""
     name = str(name_or_path)
     if name.startswith(generate.PREFIX):
@@ -81,7 +81,7 @@ def read(text, path, folder=None, start=""):
             remarks.warning("the targets of room %r are chosen: its file has none", scene.name)
             return scene
         check(suffix == ".toml", f"its name must end in .toml, {', '.join(WORLDS)} (Gazebo) or "
-              f"{', '.join(MAPS)} (a map of ROS)")
+              f"{', '.join(MAPS)} (a ROS map)")
         check(not start, "it has a start of its own, so '@' cannot choose one")
         try:
             table = tomllib.loads(text)
@@ -89,8 +89,8 @@ def read(text, path, folder=None, start=""):
             raise SceneError(f"it is not valid TOML: {error}") from None
         return parse(table, path.stem)
     except RecursionError:
-        raise SceneError(f"room file {str(path)!r} cannot be used: its parts are nested too deep, "
-                         "or each is placed relative to another") from None
+        raise SceneError(f"room file {str(path)!r} cannot be used: its parts are nested too "
+                         "deeply, or each is placed relative to another") from None
     except (ValueError, OSError) as error:  # SceneErrors are ValueErrors
         raise SceneError(f"room file {str(path)!r} cannot be used: {error}") from None
 

@@ -1,4 +1,4 @@
-"""Loads maps of ROS: a YAML file and the image that it names. The cells that are not known to be
+"""Loads ROS maps: a YAML file and the image that it names. The cells that are not known to be
 free become boxes, merged into rectangles. Axis letters: X, Y cells of the map."""
 
 import math
@@ -10,7 +10,7 @@ from scenes.places import parts, remarks
 from sim import Box, SceneError
 
 HEIGHT = 2.5  # [m] of walls, as in the released rooms
-MOST_CELLS = 4000 ** 2
+MOST_CELLS = 4000 ** 2  # of the image, our choice
 WALL = 3  # [cells] thickness of walls around the room, at most
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale")  # in both, a cell is free below free_thresh
@@ -22,25 +22,14 @@ def boxes_of(text, folder, start=None):
     """Returns the Boxes of a map's YAML text around its largest free part, or around the part with
     the start, and the start. folder: that of its image, or None. Raises SceneError."""
     check(folder is not None, "its image is another file: give its path to --env")
-    try:
-        import yaml
-        table = yaml.load(text, yaml.BaseLoader)  # as texts, because 5e-2 is not a number in YAML
-    except ModuleNotFoundError:
-        raise SceneError("package 'yaml' is missing: pip install -r scenes/requirements.txt"
-                         ) from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"it is not valid YAML: {str(error).splitlines()[0]}") from None
-    check(isinstance(table, dict), f"the map is {shown(table)}; it must be a table")
-    for key in KEYS:  # ROS ignores others
-        check(key in table, f"the map has no '{key}'")
+    table = read_yaml(text)
     mode = table.get("mode", "trinary")
     check(mode in MODES, f"mode is {shown(mode)}; it must be one of {', '.join(MODES)}")
     negate = str(table["negate"]).lower()
     check(negate in ("0", "1", "false", "true"), f"negate is {shown(negate)}; it must be 0 or 1")
     resolution = number(value(table["resolution"]), "resolution", 0.001, 1.0)
     x, y, yaw = numbers(value(table["origin"]), "origin", 3)
-    # Checked but not used: unknown cells are walls, as occupied ones are.
-    number(value(table["occupied_thresh"]), "occupied_thresh", 0, 1)
+    number(value(table["occupied_thresh"]), "occupied_thresh", 0, 1)  # unknown is occupied too
     grey = read_image(folder, table["image"])  # (X, Y), 255 is white
     occupancy = (grey if negate in ("1", "true") else 255 - grey) / 255
     free = occupancy < number(value(table["free_thresh"]), "free_thresh", 0, 1)
@@ -60,6 +49,21 @@ def boxes_of(text, folder, start=None):
         boxes.append(Box("wall", centre.real, centre.imag, yaw, float(right - left) * resolution,
                          float(top - bottom) * resolution, HEIGHT))
     return boxes, start
+
+
+def read_yaml(text):
+    """Returns the keys of a map's YAML text and their values, which are texts or lists of texts."""
+    try:
+        import yaml
+        table = yaml.load(text, yaml.BaseLoader)  # as texts, because 5e-2 is not a number in YAML
+    except ModuleNotFoundError:
+        raise SceneError("PyYAML is missing: pip install -r scenes/requirements.txt") from None
+    except yaml.YAMLError as error:
+        raise SceneError(f"it is not valid YAML: {str(error).splitlines()[0]}") from None
+    check(isinstance(table, dict), f"the map is {shown(table)}; it must be a table")
+    for key in KEYS:  # ROS ignores others
+        check(key in table, f"the map has no '{key}'")
+    return table
 
 
 def value(text):

@@ -17,7 +17,7 @@ BLOCK = 1.0  # [m] edge of the squares in which the freest place is searched for
 THICKNESS = 0.15  # [m] of outer walls, as in the released rooms
 TRAINING_TARGETS = 10  # as in env2
 NEW_TARGETS = 2
-remarks = logging.getLogger("scenes")  # what a user should know of a room that is loaded
+remarks = logging.getLogger("scenes")  # tells users what differs from a room's file
 
 
 def complete(name, boxes, start=None):

@@ -1,4 +1,4 @@
-"""Tests of maps of ROS. The oracle is the room that a map is drawn from."""
+"""Tests of ROS maps. The oracle is the room that a map is drawn from."""
 
 import cmath
 import math
@@ -51,7 +51,7 @@ def test_unknown_cells_are_occupied_also_in_maps_saved_by_ros_2(tmp_path):
     """Their free_thresh is above the value of unknown cells. This room has some in the middle."""
     place = ROOM.reachable[len(ROOM.reachable) // 2]
     hole = scenes.Box("wall", *place.tolist(), 0.0, 0.3, 0.3, 1.0)
-    path = draw(tmp_path, replace(ROOM, boxes=(*ROOM.boxes, hole)), image="/home/anna/map.pgm")
+    path = draw(tmp_path, replace(ROOM, boxes=(*ROOM.boxes, hole)), image="/elsewhere/map.pgm")
     expected = scenes.load(path)
     grey = np.array(Image.open(tmp_path / "map.pgm"))
     grey[grey == 0] = UNKNOWN

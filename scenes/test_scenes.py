@@ -95,7 +95,7 @@ def test_a_scene_is_rebuilt_exactly_from_its_json(name):
     (dict(start=dict(x=1.9, y=0.0, heading_degrees=0)), "start (1.9, 0.0) is nearer to a box"),
     (dict(reality={"blur": 0.6}), "reality has an unknown key 'blur'; known: appearance, "),
     (dict(reality={"camera_yaw_degrees": 18}), "it must be a number from -17.18873 to 17.18873"),
-    (dict(boxes=square_room()["boxes"][:3]), "the room is not closed"),
+    (dict(boxes=square_room()["boxes"][:3]), "the room is not closed: the robot can leave at ("),
     (dict(boxes=[*square_room()["boxes"], box(x=58.0)]), "extend over 60.20 m; it must be at most"),
     (dict(boxes=[box(height=0.2)]), "boxes[0].height is 0.2; it must be above 0.281"),
     (dict(boxes=[box(length="x" * 999)]), "boxes[0].length is 'xxxx")])
