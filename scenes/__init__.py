@@ -62,24 +62,12 @@ def read(text, path, folder=None, start=""):
     looked up; None if there are none. start: `x,y,degrees`, or "". Raises SceneError."""
     suffix = path.suffix.lower()
     try:
-        pose = chosen = start_of(start)
-        if suffix in (*WORLDS, *MAPS):
-            if suffix in WORLDS:
-                from scenes.world_file import boxes_of
-            else:
-                from scenes.map_file import boxes_of
-            boxes, pose = boxes_of(text, folder, pose)
-            check_size(generate.as_scene(boxes))
-            try:
-                scene = complete(path.stem, boxes, pose)
-            except SceneError as error:
-                if chosen or not pose:
-                    raise
-                remarks.warning("%s: the robot's place is not the start", error)
-                scene = complete(path.stem, boxes)
-            check_size(scene)  # a fence counts
-            remarks.warning("the targets of room %r are chosen: its file has none", scene.name)
-            return scene
+        if suffix in WORLDS:
+            from scenes.world_file import boxes_of
+            return with_targets(path.stem, *boxes_of(text, folder, start_of(start)), bool(start))
+        if suffix in MAPS:
+            from scenes.map_file import boxes_of
+            return with_targets(path.stem, *boxes_of(text, folder, start_of(start)), bool(start))
         check(suffix == ".toml", f"its name must end in .toml, {', '.join(WORLDS)} (Gazebo) or "
               f"{', '.join(MAPS)} (a ROS map)")
         check(not start, "it has a start of its own, so '@' cannot choose one")
@@ -93,6 +81,22 @@ def read(text, path, folder=None, start=""):
                          "deeply, or each is placed relative to another") from None
     except (ValueError, OSError) as error:  # SceneErrors are ValueErrors
         raise SceneError(f"room file {str(path)!r} cannot be used: {error}") from None
+
+
+def with_targets(name, boxes, pose, is_chosen):
+    """Returns the Scene of a world or map, with chosen targets. pose: the start, or None to choose
+    one. is_chosen: whether a user gave it; otherwise it is a robot's, and may be unusable."""
+    check_size(generate.as_scene(boxes))
+    try:
+        scene = complete(name, boxes, pose)
+    except SceneError as error:
+        if is_chosen or not pose:
+            raise
+        remarks.warning("%s: the robot's place is not the start", error)
+        scene = complete(name, boxes)
+    check_size(scene)  # a fence counts
+    remarks.warning("the targets of room %r are chosen: its file has none", scene.name)
+    return scene
 
 
 def start_of(text):

@@ -15,7 +15,7 @@ from navbot_min import NavVecEnv
 from render import Camera
 from scenes import generate
 from scenes.test_scenes import square_room
-from sim import Scene
+from sim import Scene, SceneError
 from support import parallel, rooms
 from support.run_folder import restore, state_of
 
@@ -55,6 +55,12 @@ def test_at_level_2_the_last_robots_drive_in_mirrored_rooms(targets, in_mirror):
     given = rooms.GivenRooms(train.Config(robots=8, mirrored=0.25, targets=targets), [ENV1])
     scene_of = [given.of_robot(r, stage=5) for r in range(8)]
     assert scene_of == [ENV1] * (8 - in_mirror) + [ENV1.mirrored()] * in_mirror
+
+
+def test_a_damaged_copy_of_the_room_is_named(tmp_path):
+    (tmp_path / rooms.ROOM).write_text('{"name": "env1"')
+    with pytest.raises(SceneError, match="room '.*room.json' cannot be used: "):
+        rooms.load_rooms(train.Config(resume=str(tmp_path)))
 
 
 @pytest.fixture
