@@ -115,7 +115,8 @@ class Network(nn.Module):
             images = images * 0
         B = len(images)
         if B % BATCH_MULTIPLE:
-            images = torch.cat([images, images[:-B % BATCH_MULTIPLE]])
+            missing = -B % BATCH_MULTIPLE
+            images = torch.cat([images, images[:missing]])  # copies, whose features are dropped
         colours = images.permute(0, 3, 1, 2).float()  # (B, 3, H, W); channels stay last in memory
         return self.cnn(colours.sub_(IMAGE_MEAN).div_(IMAGE_SCALE))[:B]
 

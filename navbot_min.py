@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 
 import scenes as scene_files
 from render import Camera, H, W
-from sim import (ARRIVAL_DISTANCE, CONTROL_PERIOD, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
+from sim import (ARRIVAL_DISTANCE, MAX_ANGULAR_VELOCITY, MAX_LINEAR_VELOCITY,
                  Scene, World, wrap_angle)
 from support.checks import (NO_LIMIT, asked_episode, check_arguments, check_options,
                             check_render_mode, refuse_reality, target_choices)
@@ -31,7 +31,6 @@ MAX_COMMAND = np.array([MAX_LINEAR_VELOCITY, MAX_ANGULAR_VELOCITY])  # [m/s, rad
 LOWEST_ACTION = np.array([0.0, -1.0])  # linear, angular, as fractions of the maxima
 HIGHEST_ACTION = np.array([1.0, 1.0])
 FARTHEST = 100.0  # [m] upper bound on the observed distance in every room, our choice
-HIGHEST_REWARD = PROGRESS_REWARD * MAX_LINEAR_VELOCITY * CONTROL_PERIOD + ARRIVAL_REWARD
 OUTCOMES = ("arrival", "collision", "timeout")
 ARRIVAL, COLLISION, TIMEOUT = range(3)  # indices into OUTCOMES
 UNDER_WAY = -1  # the outcome of an episode that has not ended
@@ -135,7 +134,7 @@ class NavVecEnv(VectorEnv):
             "image": Box(0, 255, (H, W, 3), np.uint8),
             "target": Box(np.float32([0, -np.pi]), np.float32([FARTHEST, np.pi])),
             "velocity": Box(np.float32(MAX_COMMAND * LOWEST_ACTION), np.float32(MAX_COMMAND)),
-            "last_reward": Box(np.float32(-HIGHEST_REWARD), np.float32(HIGHEST_REWARD), (1,))})
+            "last_reward": Box(np.float32(-ARRIVAL_REWARD), np.float32(ARRIVAL_REWARD), (1,))})
         self.single_action_space = Box(np.float32(LOWEST_ACTION), np.float32(HIGHEST_ACTION))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

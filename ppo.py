@@ -1,7 +1,7 @@
 """The learner: PPO on whole episodes (Schulman et al. 2017; paper Eq. (2), (3), Algorithm 1).
 
-The code uses the letters of the formulas: r ratio, A advantage, gamma discount, lam (lambda) of
-GAE, eps clip range. Axis letters: R robots, T steps of an episode, M episodes of a minibatch, B its
+The code uses the letters of the formulas: A advantage, gamma discount, lam (lambda) of GAE, eps
+clip range. Axis letters: R robots, T steps of an episode, M episodes of a minibatch, B its
 real steps (those that are not padding), N episodes per update, K epochs.
 
 Instead of an entropy bonus, the standard deviation of the actions is a parameter that starts large
@@ -69,6 +69,7 @@ class Collector:
             info["robot"] = int(r)
             ended.append((self._take_episode(r, last_values[r]), info))
             self._memory[r] = 0  # clear the memory after either ending
+        # Keep only the steps of episodes that are still under way.
         self._history = self._history[len(self._history) - self._length.max():]
         return ended
 
@@ -133,16 +134,16 @@ def losses(model, batch, eps):
     memory = model.initial_state(len(mask))
     distribution, values, _ = model(batch["observations"], memory, mask)
     log_probs = distribution.log_prob(batch["actions"]).sum(-1)[mask]  # (B,)
-    log_r = log_probs - batch["log_probs"][mask]
-    r = log_r.exp()
+    log_ratio = log_probs - batch["log_probs"][mask]
+    ratio = log_ratio.exp()
     A = batch["advantages"][mask]
-    objective = torch.min(r * A, r.clamp(1 - eps, 1 + eps) * A)  # Eq. (3)
+    objective = torch.min(ratio * A, ratio.clamp(1 - eps, 1 + eps) * A)  # Eq. (3)
     policy_loss = -objective.mean()
     value_loss = mse_loss(values[mask], batch["returns"][mask])
     with torch.no_grad():
         entropy = distribution.entropy().sum(-1)[mask].mean()
-        kl = (r - 1 - log_r).mean()  # never negative (Schulman 2020, estimator k3)
-        clip_fraction = ((r - 1).abs() > eps).float().mean()
+        kl = (ratio - 1 - log_ratio).mean()  # never negative (Schulman 2020, estimator k3)
+        clip_fraction = ((ratio - 1).abs() > eps).float().mean()
         statistics = torch.stack([policy_loss, value_loss, entropy, kl, clip_fraction])
     return policy_loss, value_loss, statistics
 
@@ -161,7 +162,7 @@ def average_gradient(model, statistics, steps, total):
     the statistics. steps: number of steps in this process."""
     gradients = [parameter.grad for parameter in model.parameters()]
     parts = [torch.ones(1, device=steps.device), statistics, *gradients]
-    sums = total(torch.cat([part.flatten() for part in parts]).mul_(steps))
+    sums = total(torch.cat([part.flatten() for part in parts]).mul_(steps))  # sums[0]: all steps
     means = sums.div_(sums[0].item()).split([part.numel() for part in parts])
     for gradient, mean in zip(gradients, means[2:]):
         gradient.copy_(mean.view_as(gradient))
@@ -195,6 +196,6 @@ def update(model, optimizer, episodes, config, rng, total=lambda tensor: tensor)
                 raise FloatingPointError("the gradient is not finite")
             optimizer.step()
     statistics = dict(zip(STATISTICS, torch.stack(history).mean(0).tolist()))
-    # An advantage is the error of a predicted value. 1 is perfect, 0 no better than the mean.
+    # An advantage is the error of a predicted value: 1 means no errors, 0 no better than the mean.
     statistics["explained_variance"] = 1 - std ** 2 / max(returns_std ** 2, 1e-12)
     return statistics

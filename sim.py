@@ -153,8 +153,8 @@ class Scene:
         return np.array([x, y, rng.uniform(-np.pi, np.pi)])
 
     def near(self, place, rng):
-        """Perturbs a pose (3,) or place (2,) by PERTURBATION. Draws again until the robot can reach
-        the result, and it is the robot's radius from all boxes or no closer than before."""
+        """Perturbs a pose (3,) or place (2,) by PERTURBATION. Draws again until the robot fits
+        there, or is no closer to a box than before, and can arrive there."""
         while True:
             moved = place + rng.normal(0, PERTURBATION[:len(place)])
             no_nearer = self.clearance(moved[:2]) > min(ROBOT_RADIUS, self.clearance(place[:2]))
@@ -164,7 +164,7 @@ class Scene:
 
 def flood(free, source):
     """Returns the cells that a flood fill from `source` reaches through neighbouring free cells.
-    free, source, result: (X, Y) bool."""
+    free, source, result: (X, Y) bool. A flood that reaches an edge continues at the other one."""
     flooded = np.zeros_like(free)
     front = np.flatnonzero(free & source)
     while len(front):
@@ -219,15 +219,15 @@ class World:
         dt = CONTROL_PERIOD / SUBSTEPS
         # The chord of the arc points along the heading halfway through the substep. Its length is
         # sin(a) / a times that of the arc, a = w dt / 2 (numpy's sinc(x) is sin(pi x) / (pi x)).
-        chord = v * np.sinc(w * dt / (2 * np.pi))
+        speed = v * np.sinc(w * dt / (2 * np.pi))  # along the chord
         hit = np.zeros(len(v), dtype=bool)
         reach = ROBOT_RADIUS + np.abs(v) * CONTROL_PERIOD + 1e-6
         near = [r for r in range(len(v)) if self._collides(r, self._poses[r], reach[r])]
         for _ in range(SUBSTEPS):
             middle = self._poses[:, 2] + w * dt / 2
             ahead = self._poses.copy()
-            ahead[:, 0] += chord * np.cos(middle) * dt
-            ahead[:, 1] += chord * np.sin(middle) * dt
+            ahead[:, 0] += speed * np.cos(middle) * dt
+            ahead[:, 1] += speed * np.sin(middle) * dt
             ahead[:, 2] += w * dt
             for r in near:  # the others cannot reach a wall in this period
                 hit[r] = hit[r] or self._collides(r, ahead[r], ROBOT_RADIUS)

@@ -21,10 +21,10 @@ from support.run_folder import begin_run, open_folder, report_errors, restore, s
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # episodes of a rolling success rate, paper IV-B
-LEAST_STD = 0.5  # lower limit of the actions' standard deviation, of the upper one, our choice
+LEAST_STD = 0.5  # lower limit of the actions' standard deviation / upper limit, our choice
 FINAL_STD = 0.1  # final upper limit, as a fraction of the initial value, our choice
 ANNEALING = 0.15  # last fraction of the steps, in which it falls to FINAL_STD, our choice
-STAGE = 50_000  # steps, summed over 64 robots, between two checkpoints, our choice
+STAGE = 50_000  # steps of 64 robots between two checkpoints; in proportion to R, our choice
 COUNT_EVERY = 4  # steps between two counts of the episodes of all processes, our choice
 RULE = f"more than {WINDOW * SUCCESS_RATE:.0f} of the last {WINDOW} test episodes succeed"
 
@@ -141,7 +141,8 @@ class Training:
         return episodes, sorted(rows, key=lambda row: row["steps"])
 
     def row_of(self, info):
-        """Returns the row of episodes.csv for an episode. info: its statistics."""
+        """Returns an episode's row of episodes.csv. info: its statistics."""
+        # At level 3, episodes of a few robots, in validation rooms, count as new.
         new = info["new"] or self.rooms.is_watched(self.robots[info["robot"]])
         return {"steps": self.steps, "scene": self.env.scenes[info["scene"]].name,
                 "target_x": info["goal_x"], "target_y": info["goal_y"],

@@ -121,7 +121,7 @@ def draw_loop():
             (1.35, top, "environment", f"$R$ = {Config.robots} robots", "navbot_min.py", "input"),
             (5.0, top, "collector", "drives the robots", "ppo.py", "layer"),
             (7.9, top, "buffer", "whole episodes", "train.py", "layer"),
-            (7.9, low, "update", f"PPO, $K$ = {Config.epochs} epochs", "ppo.py", "layer"),
+            (7.9, low, "update", f"PPO, {Config.minibatches} minibatches", "ppo.py", "layer"),
             (5.0, low, "network", "policy and value", "model.py", "memory"),
             (1.35, low, "record", "every episode", "train.py", "output")):
         block(axes, x, y, 2.2 if x < 2 else 1.8, 1.1, words, kind)
@@ -225,6 +225,8 @@ def draw_task(trace):
     axes.plot(*np.transpose([pose[:2], trace.goal]), color=INK, lw=1.1, ls="--")
     first, last = sorted(np.degrees((pose[2], pose[2] + bearing)))
     axes.add_patch(Arc(pose[:2], 1.1, 1.1, theta1=first, theta2=last, color=INK, lw=0.9))
+    ahead = 0.7 * np.array((np.cos(pose[2]), np.sin(pose[2])))
+    axes.plot(*np.transpose([pose[:2], pose[:2] + ahead]), color=INK, lw=1.1, ls="--")
     note(axes, *pose[:2] - (0.5, 0.45), "bearing")
     note(axes, *(pose[:2] + trace.goal) / 2 + (0.22, 0.12), "distance")
     draw_words(page, trace, moments[1], distance, bearing)

@@ -93,8 +93,8 @@ def draw_learning(curves, env):
                                   alpha=0.25, color=PALETTE[way])
             axes.grid(alpha=0.3)
         column[0].set_title(f"{env}, {kind} targets", color=PALETTE[kind], weight="bold")
-        column[1].set(xlabel=f"episodes to {kind} targets", ylabel=f"mean return, last {WINDOW}\n"
-                      f"(paper: {SPACING[env][kind]}) episodes")
+        column[1].set(xlabel=f"episodes to {kind} targets (log scale)",
+                      ylabel=f"mean return, last {WINDOW}\n(paper: {SPACING[env][kind]}) episodes")
     panels[0, 0].set(ylabel=f"success rate,\nlast {WINDOW} episodes [%]", ylim=(-3, 103))
     legend_below(figure, ncols=3, title="line: median of five seeds; band: their range")
     return figure
@@ -164,7 +164,7 @@ def draw_rooms_learnt(level3, rooms):
     for column, colour, mark, name in (
             ("training_success", "training", "s", "training rooms"),
             ("success", "run", "^", "test rooms"),
-            ("validation_success", "new", "o", "new random rooms")):
+            ("validation_success", "new", "o", "validation rooms")):
         axes.plot(runs.place, runs[column], mark, color=PALETTE[colour], ms=4)
         axes.plot(means[column], mark + "-", color=PALETTE[colour], ms=7, label=name)
     new, known = means.validation_success.round(), means.training_success.round()
@@ -200,11 +200,12 @@ def draw_any_room():
     return figure
 
 
-PASSAGES = (0.8, 0.6, 0.5, 0.42, 0.0)  # [m] lower bounds of classes of widths
+# [m] -> lower bounds of classes of widths. Random rooms have no passage below 0.42 m.
+PASSAGES = {0.8: "80 or more", 0.6: "60 to 80", 0.5: "50 to 60", 0.0: "42 to 50"}
 
 
 def passage(trace):
-    """Returns the class of the narrowest passage on the widest way of an episode, an index into
+    """Returns the class of the narrowest passage on the widest way of an episode, a key of
     PASSAGES."""
     x, y = [np.arange(low, high, 0.025) for low, high in zip(*trace.scene.bounds)]
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
@@ -212,7 +213,7 @@ def passage(trace):
     # A robot may start and arrive close to a wall: that is not a passage.
     start, goal = [np.hypot(*(grid - place).transpose(2, 0, 1)) < 0.3
                    for place in (trace.start[:2], trace.goal)]
-    return next(k for k, width in enumerate(PASSAGES)
+    return next(width for width in PASSAGES
                 if not width or (flood(clearance > width / 2, start) & goal).any())
 
 
@@ -224,8 +225,8 @@ def draw_level3_curves(curves, earlier):
         for seed, run in rows.groupby("seed"):
             axes.plot(run.steps / 1e6, run.validation_success, color=PALETTE[colour], lw=1.6,
                       label=None if seed else label)
-    axes.set(ylim=(0, 103), xlabel="million steps, summed over robots",
-             ylabel="success rate in training,\nvalidation rooms [%]")
+    axes.set(ylim=(0, 103), xlabel="million steps, summed over robots", ylabel="success rate [%]",
+             title="validation rooms, during training (sampled actions)")
     axes.grid(alpha=0.3)
     legend_below(figure, ncols=2)
     return figure
@@ -242,17 +243,22 @@ def draw_touches():
         touches = np.array([trace.poses[-1] for trace in traces if trace.outcome == "collision"])
         draw_room(axes, replace(scene, training_targets=(), new_targets=()))
         axes.plot(*touches[:, :2].T, "o", ms=5, alpha=0.5, mew=0, color=PALETTE["collision"])
-        axes.set_title(f"{name}: {len(touches)} collisions\nin {len(traces)} episodes", fontsize=10)
+        axes.set_title(f"{name}: the robot's centre at\n{len(touches)} collisions, "
+                       f"{len(traces)} episodes", fontsize=10)
     robots = [Assignment(scene, 0, 60) for scene in validation_scenes()]
     traces = rollouts(driver, robots, "anywhere")
     groups = pd.Series([trace.arrived for trace in traces]).groupby(list(map(passage, traces)))
-    for k, arrived in groups:
+    for k, (_, arrived) in enumerate(groups):  # from narrow to wide
+        success = 100 * arrived.mean()
         low, high = wilson(arrived.sum(), len(arrived))
         panels[2].plot([k, k], [100 * low, 100 * high], color=PALETTE["robot"])
-        panels[2].plot(k, 100 * arrived.mean(), "o", color=PALETTE["robot"])
-    panels[2].set(xticks=range(5), xticklabels=("80", "60", "50", "42", "less"), ylim=(0, 103),
-                  xlabel="narrowest passage: at least [cm]", ylabel="success rate [%]")
-    panels[2].set_title("validation rooms", fontsize=10)
+        panels[2].plot(k, success, "o", color=PALETTE["robot"])
+        panels[2].text(k, 100 * low - 5, f"{success:.0f} %\nof {len(arrived)}", ha="center",
+                       va="top", fontsize=9)
+    panels[2].set(xlim=(-0.5, 3.5), ylim=(0, 103), ylabel="success rate [%]",
+                  xlabel="narrowest passage [cm]")
+    panels[2].set_xticks(range(4), [*PASSAGES.values()][::-1], fontsize=8)
+    panels[2].set_title("validation rooms, 95 % intervals", fontsize=10)
     panels[2].grid(alpha=0.3)
     return figure
 
@@ -329,14 +335,14 @@ def film_mujoco():
     return replace(trace, label="in MuJoCo, protocol anywhere")
 
 
-def draw_delta(deltas, complete, reduced, part):
-    """Draws the success rate against steps with a part of the learner and without it."""
+def draw_delta(deltas, names):
+    """Draws the success rate against steps of two learners. names: delta -> label."""
     figure, axes = page(3.4)
-    for name, colour, text in ((complete, "robot", "with"), (reduced, "run", "without")):
-        runs = deltas[deltas.delta == name].groupby("seed")
+    for (delta, name), colour in zip(names.items(), ("robot", "run")):
+        runs = deltas[deltas.delta == delta].groupby("seed")
         for (_, run), style in zip(runs, ("-", "--", ":")):
             axes.plot(run.steps, run.success, style, color=PALETTE[colour], lw=1.8,
-                      label=f"{text} {part}" if style == "-" else None)
+                      label=name if style == "-" else None)
     axes.set(title="env1, three seeds (solid, dashed, dotted)", ylim=(-2, 103),
              xlabel="steps, summed over robots", ylabel="success rate, training targets [%]")
     axes.grid(alpha=0.3)
@@ -420,9 +426,10 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
     "fig6-env1.png": lambda: draw_fig6("env1"),
     "fig6-env2.png": lambda: draw_fig6("env2"),
     "hidden.png": draw_hidden,
-    "delta-lambda.png": lambda: draw_delta(read("deltas.csv"), "lesson", "lambda", "GAE"),
-    "delta-clipping.png":
-        lambda: draw_delta(read("deltas.csv"), "passes", "clipping", "clipping"),
+    "delta-lambda.png": lambda: draw_delta(
+        read("deltas.csv"), {"lesson": "lambda = 0.95", "lambda": "lambda = 1"}),
+    "delta-clipping.png": lambda: draw_delta(
+        read("deltas.csv"), {"passes": "with clipping", "clipping": "without clipping"}),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
     "level3-curves.png":

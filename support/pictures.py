@@ -40,7 +40,7 @@ MARKERS = {"arrival": "o", "collision": "X", "timeout": "s", "standing": "D"}
 
 # Legend entries: the robot at its start, and a patch of the floor without a colour.
 START = Line2D([], [], color=PALETTE["robot"], marker="o", ms=8, ls="none", label="start")
-TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"fewer than {FEWEST} episodes")
+TOO_FEW = Patch(fc="white", ec=PALETTE["robot"], label=f"white: fewer than {FEWEST} episodes")
 
 
 def save(figure, path):
