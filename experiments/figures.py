@@ -436,7 +436,7 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
         lambda: draw_level3_curves(read("level3-curves.csv"), read("without-limit.csv")),
     "any-room.png": draw_any_room,
     "touches.png": draw_touches,
-    "any-room.gif": lambda: film_episode(  # an arrival; about one episode in five fails
+    "any-room.gif": lambda: film_episode(  # an arrival; one episode in nine fails
         pretrained("any-room", "mean")[0], scenes.load("maze4"), "anywhere", seed=6),
     "reality.png": draw_reality,
     "appearances.png": draw_appearances,

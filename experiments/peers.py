@@ -34,9 +34,10 @@ except ImportError:  # without them, only the CleanRL-style loop is available
     BaseFeaturesExtractor = object
     VecEnv = object
 
-Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate")
+Settings = namedtuple("Settings", "robots steps epochs minibatches learning_rate clip decays")
 # 32 steps per robot are about as many as the episodes of one of our updates have.
-OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches, Config.learning_rate)
+OUR_WORK = Settings(Config.robots, 32, Config.epochs, Config.minibatches, Config.learning_rate,
+                    Config.clip, True)
 
 
 def level_2(robots):
@@ -48,10 +49,12 @@ def level_2(robots):
 
 
 class StableBaselinesEnv(VecEnv):
-    """A NavVecEnv as a vector environment of Stable-Baselines3."""
+    """A NavVecEnv as a vector environment of Stable-Baselines3. Rewards are multiplied by a scale:
+    values of about 1 are learned faster."""
 
-    def __init__(self, env):
+    def __init__(self, env, reward_scale=REWARD_SCALE):
         self.env = env
+        self.reward_scale = reward_scale
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self):
@@ -71,7 +74,7 @@ class StableBaselinesEnv(VecEnv):
             last = {key: value[r] for key, value in infos["final_obs"].items()}
             each[r] = info | {"terminal_observation": last, "TimeLimit.truncated": truncated[r],
                               "episode": {"r": info["return"], "l": info["length"]}}
-        return observations, rewards.astype(np.float32), done, each
+        return observations, np.float32(self.reward_scale * rewards), done, each
 
     def get_attr(self, attr_name, indices=None):
         return [getattr(self.env, attr_name)] * self.num_envs
@@ -79,7 +82,14 @@ class StableBaselinesEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class, indices=None):
         return [False] * self.num_envs
 
-    set_attr = env_method = close = None  # training does not use them
+    def close(self):
+        self.env.close()
+
+    def set_attr(self, attr_name, value, indices=None):
+        raise NotImplementedError("the robots share one environment: set it there")
+
+    def env_method(self, method_name, *arguments, indices=None, **options):
+        raise NotImplementedError("the robots share one environment: call it there")
 
 
 class Features(BaseFeaturesExtractor):
@@ -99,9 +109,11 @@ class Features(BaseFeaturesExtractor):
 
 def recurrent_ppo(settings, env, seed=0):
     """Returns a RecurrentPPO with our network's sizes. Its two LSTMs both get all inputs."""
+    rate = settings.learning_rate
     learner = RecurrentPPO(
         "MultiInputLstmPolicy", StableBaselinesEnv(env),
-        learning_rate=settings.learning_rate, n_steps=settings.steps, n_epochs=settings.epochs,
+        learning_rate=(lambda left: left * rate) if settings.decays else rate,
+        n_steps=settings.steps, n_epochs=settings.epochs, clip_range=settings.clip,
         batch_size=settings.robots * settings.steps // settings.minibatches, seed=seed,
         device="cpu",
         policy_kwargs=dict(features_extractor_class=Features, normalize_images=False,
@@ -142,6 +154,7 @@ class CleanRLStyle:
 
     def __init__(self, settings, env, seed=0):
         self.settings = settings
+        self.num_timesteps = 0
         self.net = make_network(seed)
         torch.manual_seed(seed)  # for actions and shuffles, as in CleanRL
         self.optimizer = torch.optim.Adam(self.net.parameters(), eps=1e-5)
@@ -189,7 +202,9 @@ class CleanRLStyle:
     def learn(self, total):
         """Learns from this many steps. Minibatches are robots. The learning rate decays to 0."""
         settings = self.settings
+        eps = settings.clip
         updates = total // (settings.robots * settings.steps)
+        self.num_timesteps = updates * settings.robots * settings.steps
         for k in range(updates):
             self.optimizer.param_groups[0]["lr"] = settings.learning_rate * (1 - k / updates)
             memory = self.memory
@@ -200,9 +215,11 @@ class CleanRLStyle:
                     distribution, values, _ = self.forward(part, memory[robots])
                     r = (distribution.log_prob(part["action"]).sum(-1) - part["log_prob"]).exp()
                     A = part["advantage"]
-                    value_loss = torch.nn.functional.mse_loss(values, A + part["value"]) / 2
+                    error = values - part["value"]
+                    errors = torch.max((error - A) ** 2, (error.clamp(-eps, eps) - A) ** 2)
+                    value_loss = errors.mean() / 2  # values are clipped too, as in CleanRL
                     A = (A - A.mean()) / (A.std() + 1e-8)
-                    objective = torch.min(r * A, r.clamp(1 - Config.clip, 1 + Config.clip) * A)
+                    objective = torch.min(r * A, r.clamp(1 - eps, 1 + eps) * A)
                     entropy = distribution.entropy().sum(-1).mean()
                     self.optimizer.zero_grad()  # 0.01: entropy weight of CleanRL
                     (VALUE_WEIGHT * value_loss - objective.mean() - 0.01 * entropy).backward()
@@ -211,11 +228,13 @@ class CleanRLStyle:
 
 
 # name -> function or class that makes a learner, its Settings
-PEERS = {"CleanRL-style, as it comes": (CleanRLStyle, Settings(8, 128, 4, 4, 2.5e-4)),
-         "CleanRL-style, our work": (CleanRLStyle, OUR_WORK)}
+PEERS = {
+    "CleanRL-style, as it comes": (CleanRLStyle, Settings(8, 128, 4, 4, 2.5e-4, 0.1, True)),
+    "CleanRL-style, our work": (CleanRLStyle, OUR_WORK)}
 if RecurrentPPO is not None:  # its default minibatches have 128 steps
-    PEERS = {"RecurrentPPO, as it comes": (recurrent_ppo, Settings(8, 128, 10, 8, 3e-4)),
-             "RecurrentPPO, our work": (recurrent_ppo, OUR_WORK)} | PEERS
+    PEERS = {
+        "RecurrentPPO, as it comes": (recurrent_ppo, Settings(8, 128, 10, 8, 3e-4, 0.2, False)),
+        "RecurrentPPO, our work": (recurrent_ppo, OUR_WORK)} | PEERS
 LEVELS = {  # level of the paper -> environment, steps
     2: (level_2, PAPER_ROOMS["env1"]), 3: (RandomRoomsVecEnv, 500_000)}
 SEEDS = {(2, name): 3 for name in PEERS} | {(3, "RecurrentPPO, our work"): 1}  # number of seeds
@@ -232,7 +251,9 @@ def success(level, learner):
     """Returns the success rates of a learner's frozen policy, as columns."""
     if level == 2:
         result, _ = evaluate(driver(learner, "sampled"), ["env1"], 1000, "start")
-        return {f"{kind}_success": result[kind]["success"] for kind in ("training", "new")}
+        rates = {f"{kind}_success": result[kind]["success"] for kind in ("training", "new")}
+        result, _ = evaluate(driver(learner, "mean"), ["env1"], 500, "anywhere")
+        return rates | {"anywhere_success": result["anywhere"]["success"]}
     tests = {"validation": (validation_scenes(), 1000)}
     tests |= {room: ([room], 100) for room in TEST_ROOMS}
     return {f"{name}_success": evaluate(driver(learner, "mean"), rooms, episodes,
@@ -242,7 +263,9 @@ def success(level, learner):
 
 def main(argv=None):
     """Runs the command line: trains each peer that results/peers.csv lacks."""
-    parse({}, "Train the learners of other projects in this environment.", argv)
+    _, parser = parse({}, "Train the learners of other projects in this environment.", argv)
+    if RecurrentPPO is None:
+        parser.error("sb3_contrib is missing: pip install -r experiments/requirements-peers.txt")
     torch.set_num_threads(1)
     path = RESULTS / "peers.csv"
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
@@ -254,8 +277,8 @@ def main(argv=None):
             learner = make(settings, make_env(settings.robots), seed)
             begin = time.perf_counter()
             learner.learn(steps)
-            row = {"level": level, "learner": name, "seed": seed, "steps": steps,
-                   "seconds": round(time.perf_counter() - begin, 1)}
+            row = {"level": level, "learner": name, "seed": seed,
+                   "steps": learner.num_timesteps, "seconds": round(time.perf_counter() - begin, 1)}
             rows.append(row | success(level, learner))
             write(path, pd.DataFrame(rows).to_csv(index=False))
 

@@ -49,6 +49,9 @@ def commands(run):
     if not run.weights and not (run.folder / "evaluation.json").exists():
         options = run.training | {"out": folder}
         if (run.folder / "config.json").exists():
+            config = run.read("config.json")
+            if not run.training.items() <= config.items():
+                raise RunError(f"'{folder}' is a run with other options: delete it")
             options = {"resume": folder}
         missing.append([training, *words(options)])
     for name, options in run.evaluations.items():
@@ -67,6 +70,8 @@ def make_run(run):
     if run.weights:
         run.folder.mkdir(exist_ok=True)
         shutil.copy(ROOT / run.weights, run.folder / FILE)
+    elif run.folder.exists() and not (run.folder / "config.json").exists():
+        shutil.rmtree(run.folder)  # the run was interrupted in its first second
     for command in commands(run):
         with open(log, "w") as output:
             process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
@@ -190,11 +195,11 @@ def main(argv=None):
         for level in chosen:
             # A run to the stop uses several cores, so each has the machine to itself.
             make_runs(stages[level], 1 if level == "stops" else options.jobs)
-        if "lab" in chosen:
+        if "lab" in chosen and not (RESULTS / "lab-errors.csv").exists():
             write_lab_errors()
         if "mujoco" in chosen:
             write_mujoco()
-        if options.level in ("", "planners"):
+        if options.level in ("", "planners") and not (RESULTS / "planners.csv").exists():
             write_planners()
         figures.main([])
         tables.main([])

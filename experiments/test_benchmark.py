@@ -15,7 +15,7 @@ from model import Network
 from navbot_min import NavVecEnv
 
 ROOT = Path(__file__).parent.parent
-SMALL = peers.Settings(2, 6, 1, 2, 1e-3)
+SMALL = peers.Settings(2, 6, 1, 2, 1e-3, 0.2, True)
 
 
 def test_the_operations_of_the_network_follow_from_its_weights(monkeypatch):
@@ -72,7 +72,8 @@ def test_the_cleanrl_style_loop_has_our_values_and_advantages_in_each_episode():
         assert torch.allclose(part["value"], values[0], atol=1e-5)
         A = ppo.advantages(part["reward"].numpy(), part["value"].numpy(), 0.0, 0.99, 0.95)
         assert np.allclose(part["advantage"], A, atol=1e-5)
-    learner.learn(12)
+    learner.learn(30)
+    assert learner.num_timesteps == 24  # two updates of two robots
 
 
 def test_stable_baselines_gets_the_last_observation_and_the_truncation():
@@ -83,13 +84,16 @@ def test_stable_baselines_gets_the_last_observation_and_the_truncation():
     adapted.seed(3)
     adapted.reset()
     for _ in range(3):
-        observations, _, _, _, infos = env.step(np.ones((2, 2)))
-        seen, _, _, each = adapted.step(np.ones((2, 2)))
+        observations, rewards, _, _, infos = env.step(np.ones((2, 2)))
+        seen, scaled, _, each = adapted.step(np.ones((2, 2)))
+    assert np.allclose(scaled, rewards / 100)
     assert np.array_equal(seen["image"], observations["image"])
     for r, info in enumerate(each):
         assert info["TimeLimit.truncated"] and info["episode"]["l"] == 3
         assert (info["terminal_observation"]["image"] == infos["final_obs"]["image"][r]).all()
+    adapted.close()
     learner = peers.recurrent_ppo(SMALL, peers.level_2(2))
-    learner.learn(12)
+    learner.learn(24)
+    assert learner.lr_schedule(0.25) == 0.25e-3 and learner.num_timesteps == 24
     result, _ = evaluate(peers.driver(learner, "mean"), ["env1"], 2, "anywhere")
     assert result["anywhere"]["n"] == 2

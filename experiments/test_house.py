@@ -20,7 +20,7 @@ from support import demo
 ROOT = Path(__file__).parent.parent
 PAGES = tables.pages()
 WORLD_HALF = {"navbot_min", "sim", "render", "scenes"}
-OPTIONAL = ("sb3_contrib", "tensorboard", "optuna", "onnxruntime")  # packages of some examples
+OPTIONAL = ("sb3_contrib", "tensorboard", "wandb", "optuna", "onnxruntime")  # of some examples
 LESSON = {"navbot_min", "sim", "render", "model", "ppo", "train"}
 WHO_IMPORTS_WHOM = {  # top-level file or folder -> our modules that it may import
     "sim": set(),

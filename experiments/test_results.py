@@ -205,6 +205,7 @@ def test_the_same_command_resumes_an_interrupted_run(folder, monkeypatch):
                f"runs.LEVEL_2 = [runs.Run('level2', {run.names}, {run.options}, {{}})]\n"
                "runs.ANY_TARGET = runs.BUDGET = runs.LEVEL_2_ABLATIONS = runs.DELTAS = []\n"
                "results.main(['--level', '2'])")
+    run.folder.mkdir(parents=True)  # left by a command that was interrupted at once
     process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, text=True,
                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     while not (run.folder / "checkpoint.pt").exists():
@@ -213,6 +214,8 @@ def test_the_same_command_resumes_an_interrupted_run(folder, monkeypatch):
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=60)[1] == "\ninterrupted; the same command continues\n"
     assert results.commands(run)[0][2:4] == ["train", "--resume"]
+    with pytest.raises(RunError, match="is a run with other options: delete it"):
+        results.commands(replace(run, options=run.options | {"robots": 16}))
     results.make_runs([run], 1)
     assert pd.read_csv(folder / "ablations.csv").steps.tolist() == [2000]
     assert results.commands(run) == []

@@ -13,7 +13,8 @@ EPISODES_PER_ROOM = 16  # about as many as in our training
 class RandomRoomsVecEnv(NavVecEnv):
     """Level 3 for any learner: each robot drives EPISODES_PER_ROOM episodes in one random room and
     then in the next. Rooms follow from the environment's seed, and are never validation rooms.
-    Targets and starts are drawn as in our training."""
+    Targets and starts are drawn as in our training. When a step returns the `final_info` of the
+    last episode in a room, `env.scenes` already has the next room."""
 
     def __init__(self, num_envs=32, max_episode_steps=MAX_EPISODE_STEPS):
         """Arguments: as for NavVecEnv."""
@@ -26,8 +27,12 @@ class RandomRoomsVecEnv(NavVecEnv):
         """Starts an episode for every robot; with a seed, in new rooms. Raises ValueError."""
         check(not options, f"options is {options!r}; in random rooms there are none")
         if seed is not None:
-            self._episodes[:] = 0
+            self.leave_rooms()
         return super().reset(seed=seed)
+
+    def leave_rooms(self):
+        """Makes each robot change to a new room before its next episode."""
+        self._episodes[:] = 0
 
     def sample_episode(self, r):
         """Draws robot r's next episode, and from time to time its next room."""
@@ -41,3 +46,9 @@ class RandomRoomsVecEnv(NavVecEnv):
 class RandomRoomsEnv(NavEnv):
     """One robot of RandomRoomsVecEnv, without autoreset."""
     vector_class = RandomRoomsVecEnv
+
+    def reset(self, *, seed=None, options=None):
+        """Starts an episode; with a seed, in a new room. Raises ValueError."""
+        if seed is not None:
+            self.vector.leave_rooms()
+        return super().reset(seed=seed, options=options)

@@ -182,6 +182,20 @@ def test_random_rooms_follow_from_the_seed_of_the_environment_and_change(quick, 
         many.reset(options={"target": 0})
 
 
+def test_one_robot_gets_a_random_room_that_follows_from_the_seed():
+    env = gym.make("navbot_min:NavBot-random-v1").unwrapped
+    other = gym.make("navbot_min:NavBot-random-v1").unwrapped
+    seen = []
+    for seed in (0, 1, 0):
+        observation, _ = env.reset(seed=seed)
+        seen.append((env.vector.scenes[0].name, *observation["target"]))
+    assert seen[0] == seen[2] and seen[0][0] != seen[1][0]
+    env.reset()
+    assert env.vector.scenes[0].name == seen[0][0]  # the same room for some episodes
+    other.reset(seed=0)
+    assert other.vector.scenes[0].name == seen[0][0]
+
+
 @pytest.mark.filterwarnings("ignore:.*out of date")
 def test_the_error_for_an_old_version_of_an_environment_names_the_new_one():
     with pytest.raises(gym.error.DeprecatedEnv, match="NavBot-env1-v1"):
