@@ -164,13 +164,19 @@ class Scene:
 
 def flood(free, source):
     """Returns the cells that a flood fill from `source` reaches through neighbouring free cells.
-    free, source, result: (X, Y) bool. A flood that reaches an edge continues at the other one."""
-    flooded = np.zeros_like(free)
-    front = np.flatnonzero(free & source)
-    while len(front):
-        flooded.flat[front] = True
-        around = np.add.outer((-free.shape[1], -1, 1, free.shape[1]), front).ravel() % free.size
-        front = np.unique(around[free.flat[around] & ~flooded.flat[around]])
+    free, source, result: (X, Y) bool. It floods whole runs of free cells, along x and along y."""
+    blocked = np.pad(~free, (0, 1), constant_values=True)  # a run ends at the edge
+    # Free cells with the same number of blocked cells before them are in the same run.
+    along_x = np.cumsum(blocked.T).reshape(blocked.T.shape).T[:-1, :-1]
+    along_y = np.cumsum(blocked).reshape(blocked.shape)[:-1, :-1]
+    flooded = free & source
+    before = None
+    while not np.array_equal(flooded, before):
+        before = flooded
+        for run in (along_x, along_y):
+            reached = np.zeros(run[-1, -1] + 1, bool)
+            reached[run[flooded]] = True
+            flooded = free & reached[run]
     return flooded
 
 
