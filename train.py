@@ -45,7 +45,7 @@ class Config:
     memory: str = option("stacked", "the network's memory", choices=MEMORIES)
     without: str = option("", "input to blank", choices=BLANKS)
     episodes_per_update: int = option(64, "N of Algorithm 1: episodes per update", 1, 4096)
-    workers: int = option(0, "number of processes; 0: one per core, at most 4", 0, 64)
+    workers: int = option(1, "number of processes", 1, 64)
     epochs: int = option(1, "K of Algorithm 1: passes over the episodes of an update", 1, 1000)
     minibatches: int = option(16, "minibatches of whole episodes per epoch", 1, 4096)
     learning_rate: float = option(1e-3, "initial learning rate of Adam; decays to 0", 1e-9, 1.0)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from evaluation.drivers import Policy
 from evaluation.examine import evaluate, report
-from support import parallel
 from support.pictures import draw_curves, save
 from support.rooms import RANDOM
 from support.runs import read_table, write
@@ -37,10 +36,10 @@ def finish(training, stop_rate):
 def evaluate_policy(training, scenes, actions, protocol, episodes=None):
     """Returns the result of `evaluate` for the policy of a Training."""
     config = training.config
+    workers = 0 if config.device == "cpu" else 1  # a process with a GPU must not fork
     return evaluate(Policy(training.model.cpu(), actions, config.seed), scenes,
                     episodes or config.evaluation_episodes, protocol, config.seed, actions,
-                    environment=training.environment,
-                    workers=min(config.workers, parallel.available_cores()))[0]
+                    environment=training.environment, workers=workers)[0]
 
 
 def evaluate_many(training):

@@ -226,7 +226,7 @@ def test_level_3_is_evaluated_and_reported_by_kind_of_room(other, words):
     rooms = {"training": [ENV1, TRAINING_ONLY], "new": other}
     training = SimpleNamespace(
         model=lively_network(), environment=NavVecEnv, stage=5,
-        config=SimpleNamespace(seed=3, evaluation_episodes=4, workers=1),
+        config=SimpleNamespace(seed=3, evaluation_episodes=4, device="cuda"),
         rooms=SimpleNamespace(by_kind=lambda stage: rooms if stage == 5 else {}))
     frozen = evaluate_many(training)
     for kind in ("training", "new"):

@@ -12,24 +12,20 @@ from timeit import Timer
 import numpy as np
 import pandas as pd
 import torch
-from torch.utils.flop_counter import FlopCounterMode
 
 from experiments.figures import draw_benchmark
-from experiments.peers import PEERS, level_2
 from model import make_network
 from navbot_min import NavVecEnv
 from render import H, W
 from scenes.generate import walls
 from sim import Box, Scene
 from support.cli import option, parse
-from support.parallel import MOST_WORKERS, available_cores
+from support.parallel import available_cores
 from support.pictures import save
 from support.runs import write
-from train import Config
 
 SHORT = ("--fixed-budget", "--evaluation-episodes", "1", "--steps", "18000")  # about six updates
 OPTIONS = {
-    "peers": option(False, "also time the installed learners of other projects"),
     "out": option("benchmark.json", "file for the numbers; the plot is written next to it as .png"),
     "json": option(False, "print the numbers as JSON instead of the path of their file")}
 
@@ -66,7 +62,7 @@ def world_calls(scene, R):
 
 
 def measure_network(M=16, T=50, R=32):
-    """Returns the frames per second of each pass, and its floating-point operations per frame."""
+    """Returns the images per second of the network's passes: forward, both, and to act."""
     net = make_network(seed=0)
     seen = {"image": torch.randint(256, (M, T, H, W, 3), dtype=torch.uint8),
             "target": torch.rand(M, T, 2), "velocity": torch.rand(M, T, 2),
@@ -78,81 +74,53 @@ def measure_network(M=16, T=50, R=32):
         distribution, values, _ = net(seen, net.initial_state(M))
         return distribution.mean.sum() + values.sum()
 
-    fps = {"forward": rate(torch.no_grad()(forward), M * T),
-           "both": rate(lambda: forward().backward(), M * T),
-           "act": rate(lambda: net.act(one, net.initial_state(R), generator), R)}
-    # The counter misses the LSTM of oneDNN.
-    with (torch.backends.mkldnn.flags(enabled=False, allow_tf32=None),
-          FlopCounterMode(display=False) as counter):
-        total = forward()
-        flops = {"forward": counter.get_total_flops() / (M * T)}
-        total.backward()
-        flops["both"] = counter.get_total_flops() / (M * T)
-    return fps, flops
+    return {"forward": rate(torch.no_grad()(forward), M * T),
+            "both": rate(lambda: forward().backward(), M * T),
+            "act": rate(lambda: net.act(one, net.initial_state(R), generator), R)}
 
 
 def measure(cores):
     """Returns the speed of every stage. Camera, world and environment always use one core."""
     torch.set_num_threads(cores)
     short = (*SHORT, "--workers", str(cores))
-    # Level 1 has no new targets, so `one` learns from every step.
-    both, one = in_turn(partial(train, *short), partial(train, *short, "--targets", "memorize"))
+    # Level 1 has no new targets, so `every` learns from every step.
+    both, every = in_turn(partial(train, *short), partial(train, *short, "--targets", "memorize"))
     by_robots = {key: {str(R): rate(world_calls("env1", R)[key], R) for R in (1, 32, 256, 1024)}
                  for key in ("camera_fps", "world_sps", "env_sps")}
     by_boxes = {str(boxes): rate(world_calls(make_room(boxes), 32)["camera_fps"], 32)
                 for boxes in (4, 8, 16, 24, 40)}
-    square = torch.rand(1024, 1024)
-    roof = rate(lambda: square @ square, 2 * 1024 ** 3)  # floating-point operations per second
-    fps, flops = measure_network()
     return {"cores": cores, **by_robots, "camera_fps_boxes": by_boxes,
-            "network_fps": fps, "train_sps": both.sps.median(),
-            "train_sps_training_targets": one.sps.median(), "flops_per_frame": flops,
-            "roof_flops": roof,
-            "roof_fps": {key: roof / flops.get(key, flops["forward"]) for key in fps},
-            "roof_sps": roof / (flops["forward"]
-                                + both.share.median() * Config.epochs * flops["both"])}
+            "network_fps": measure_network(), "train_sps": both.sps.median(),
+            "train_sps_training_targets": every.sps.median()}
 
 
-def train(*options, threads=1, launcher=()):
-    """Runs train.py. Returns its steps per second from the first update to the last, the fraction
-    of steps in episodes to training targets, and the output of `clocked`."""
+def train(*options, launcher=()):
+    """Runs train.py. Returns its steps per second from the first update to the last, and the output
+    of `clocked`."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, *launcher, "-m", "experiments.clocked", str(threads), *options,
+        command = [sys.executable, *launcher, "-m", "experiments.clocked", *options,
                    "--out", f"{folder}/run"]
         output = subprocess.run(command, check=True, capture_output=True).stdout
         updates = pd.read_csv(f"{folder}/run/updates.csv")
-        episodes = pd.read_csv(f"{folder}/run/episodes.csv")
     seconds = updates.steps / updates.steps_per_second  # since the start
-    lengths = episodes.groupby("kind").length.sum()
-    return json.loads(output.splitlines()[-1]) | {
-        "sps": np.ptp(updates.steps) / np.ptp(seconds), "share": lengths.training / lengths.sum()}
+    sps = np.ptp(updates.steps) / np.ptp(seconds)
+    return json.loads(output.splitlines()[-1]) | {"sps": sps}
 
 
 def measure_workers(workers):
-    """Trains on an idle and on a busy machine. Returns the speeds, and the lengths of pauses."""
+    """Returns the speed of training with one and with several workers, on an idle machine, on a
+    busy one, and by torchrun."""
     torchrun = ("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={workers}")
-    ways = {"1 worker": partial(train, *SHORT, "--workers", "1"),
-            f"{workers} workers": partial(train, *SHORT, "--workers", str(workers)),
-            f"{workers} threads of torch's own": partial(train, *SHORT, "--workers", "1",
-                                                          threads=workers)}
-    *idle, by_torchrun = in_turn(*ways.values(), partial(train, *SHORT, launcher=torchrun))
+    ways = [partial(train, *SHORT, "--workers", str(count)) for count in (1, workers)]
+    one, many, by_torchrun = in_turn(*ways, partial(train, *SHORT, launcher=torchrun))
     hog = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # keeps a core busy
     try:
-        busy = in_turn(*ways.values())
+        busy = in_turn(*ways)
     finally:
         hog.kill()
-    pairs = {"idle": idle[:2], "busy": busy[:2], "torchrun": (idle[0], by_torchrun)}
-    races = {when: {"1": one.sps.median(), str(workers): many.sps.median(),
-                    "ratio": (many.sps / one.sps).median()} for when, (one, many) in pairs.items()}
-    pauses = {"idle": {}, "busy": {}}
-    for when, trainings in (("idle", idle), ("busy", busy)):
-        for way, three in zip(ways, trainings):
-            pauses[when][way] = {}
-            for part in ("update", "act", "environment"):  # the first calls warm up
-                name = "acting" if part == "act" else part
-                calls = np.concatenate([seconds[part][1:] for seconds in three.seconds])
-                pauses[when][way][name] = [np.median(calls), calls.max()]
-    return races, pauses
+    pairs = {"idle": (one, many), "busy": busy, "torchrun": (one, by_torchrun)}
+    return {when: {"1": one.sps.median(), str(workers): many.sps.median(),
+                   "ratio": (many.sps / one.sps).median()} for when, (one, many) in pairs.items()}
 
 
 def measure_programs():
@@ -165,11 +133,10 @@ def measure_programs():
     training = train()
     seconds = {part: sum(calls) for part, calls in training["seconds"].items()}
     collecting = seconds.pop("collecting")
-    seconds["other collecting"] = collecting - seconds["act"] - seconds["environment"]
-    seconds["other learning"] = (seconds.pop("training") - collecting - seconds["gradient"]
-                                 - seconds["optimiser"])
-    del seconds["update"]  # it contains other parts
-    return {"start_up_seconds": start_up, "memory_mb": training["memory_mb"], "seconds": seconds}
+    seconds["rest of collecting"] = collecting - seconds["acting"] - seconds["environment"]
+    seconds["rest of training"] = (seconds.pop("training") - collecting - seconds["gradient"]
+                                   - seconds["optimizer"])
+    return {"start": start_up, "seconds": seconds, "memory_mb": training["memory_mb"]}
 
 
 def main(argv=None):
@@ -177,16 +144,10 @@ def main(argv=None):
     options, _ = parse(OPTIONS, "Measure how fast each stage is.", argv)
     path = Path(options.out)
     path.parent.mkdir(parents=True, exist_ok=True)
-    cores = min(available_cores(), MOST_WORKERS)
-    races, pauses = measure_workers(cores) if cores > 1 else ({}, {})
-    figures = measure(1)
-    peers = {}
-    for name, (make, settings) in PEERS.items() if options.peers else ():
-        steps = settings.robots * settings.steps
-        sps = rate(partial(make(settings, level_2(settings.robots)).learn, steps), steps)
-        peers[name] = {"sps": sps, "ratio": figures["train_sps_training_targets"] / sps}
-    figures |= {"peers": peers, "workers": races, "pauses": pauses, "programs": measure_programs(),
-                "all_cores": measure(cores)}
+    cores = min(available_cores(), 4)
+    workers = measure_workers(cores) if cores > 1 else {}
+    figures = measure(1) | {"workers": workers, "programs": measure_programs(),
+                            "all_cores": measure(cores)}
     write(path, json.dumps(figures, indent=2))
     save(draw_benchmark(figures), path.with_suffix(".png"))
     print(json.dumps(figures) if options.json else f"wrote {path}")

@@ -1,5 +1,5 @@
 """Trains like train.py, then prints one line of JSON: the seconds of each call of each part, and
-the memory. Usage: `python -m experiments.clocked THREADS`, followed by the options of train.py."""
+the memory. Usage: `python -m experiments.clocked`, followed by the options of train.py."""
 
 import json
 import sys
@@ -16,11 +16,10 @@ from model import Network
 from navbot_min import NavVecEnv
 from support import parallel
 
-CLOCKS = (("making", train.Training, "__init__"), ("training", train, "train"),
-          ("collecting", train.Training, "collect"), ("act", Network, "act"),
-          ("environment", NavVecEnv, "step"), ("update", train.Training, "learn"),
-          ("gradient", ppo, "losses"), ("gradient", torch.Tensor, "backward"),
-          ("optimiser", torch.optim.Adam, "step"),
+CLOCKS = (("preparing", train.Training, "__init__"), ("training", train, "train"),
+          ("collecting", train.Training, "collect"), ("acting", Network, "act"),
+          ("environment", NavVecEnv, "step"), ("gradient", ppo, "losses"),
+          ("gradient", torch.Tensor, "backward"), ("optimizer", torch.optim.Adam, "step"),
           ("evaluation", after_training, "evaluate_frozen"),
           ("curves", after_training, "draw_curves"), ("curves", after_training, "save"))
 
@@ -35,10 +34,8 @@ def clocked(call, calls):
     return timed
 
 
-def main(threads, argv):
-    """Trains with this many torch threads in each process."""
-    torch.set_num_threads(threads)
-    torch.set_num_threads = lambda count: None  # train.py sets it to 1
+def main(argv):
+    """Trains, and prints the line."""
     calls = defaultdict(list)
     for part, owner, name in CLOCKS:
         setattr(owner, name, clocked(getattr(owner, name), calls[part]))
@@ -53,4 +50,4 @@ def main(threads, argv):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:])
+    main(sys.argv[1:])

@@ -25,6 +25,12 @@ LAB = {"env2": "env2 policy, unchanged", "any-room": "any-room policy, unchanged
        "from-scratch": "from random weights", "from-env2": "from env2 policy",
        "from-any-room": "from any-room policy"}
 
+SPEEDS = {  # key of benchmark.json -> name in a table
+    "train_sps": "steps of training", "train_sps_training_targets": "steps of training at level 1",
+    "network_fps act": "network, actions of 32 robots", "network_fps forward": "network, forward",
+    "network_fps both": "network, forward and backward", "env_sps 32": "environment, 32 robots",
+    "camera_fps 32": "camera, 32 robots", "world_sps 32": "world, 32 robots"}
+
 LOOK = " with the lab's look"  # end of the name of a simulator in mujoco.csv
 
 # Tables with a row for each group of runs: (files, query, columns that group, columns to show).
@@ -200,8 +206,8 @@ def peaks():
 
 
 def stops():
-    """Returns the runs in env1 with two processes that stop by the paper's rule."""
-    rows = read("stops.csv").query("env == 'env1' and processes == 2").sort_values("new_success")
+    """Returns the runs in env1 with one process that stop by the paper's rule."""
+    rows = read("stops.csv").query("env == 'env1' and processes == 1").sort_values("new_success")
     return rows["seed steps rolling_new_success new training".split()].values
 
 
@@ -218,31 +224,32 @@ def budgets():
     return grouped(rows, "budget", "success")
 
 
-def benchmark():
+def speeds():
     """Returns the speed of each stage on one core and on all cores."""
     figures = read("benchmark.json")
-    speeds = pd.json_normalize([figures, figures.get("all_cores", figures)], sep=" ").T
-    speeds = speeds.filter(regex="^((camera|world|env)_.ps 32|network|train|roof_.ps)", axis=0)
-    for stage in ("network_fps act", "network_fps forward", "network_fps both", "train_sps"):
-        roof = speeds.loc[re.sub("network|train", "roof", stage)]
-        speeds.loc[f"{stage}, % of the roof"] = 100 * speeds.loc[stage] / roof
-    return speeds.filter(regex="^(?!roof)", axis=0)
+    rows = pd.json_normalize([figures, figures["all_cores"]], sep=" ").T
+    return rows.reindex(SPEEDS).rename(SPEEDS)
 
 
-def measured(section):
-    """Returns a section of the benchmark with a row for each key; `programs`: for each number."""
-    rows = read("benchmark.json")[section]
-    return (pd.json_normalize(rows, sep=", ") if section == "programs" else pd.DataFrame(rows)).T
+def workers():
+    """Returns the speed of training with one worker and with several."""
+    return pd.DataFrame(read("benchmark.json")["workers"]).T
+
+
+def programs():
+    """Returns the seconds of each part of a training, and of each program's start."""
+    figures = read("benchmark.json")["programs"]
+    return [*figures["seconds"].items(),
+            *((f"start of {name}", seconds) for name, seconds in figures["start"].items())]
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
     carry_over, level3_rooms, rooms_learnt, level3_planners, lab, lab_errors, mujoco, mujoco_mixed,
-    peaks, stops, stop_ranges, budgets, benchmark)}
+    peaks, stops, stop_ranges, budgets, speeds, workers, programs)}
 TABLES["headline"] = lambda: summary().drop(
     columns="training_success").drop("any-target", level="way")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
 TABLES |= {name: partial(group_rows, *row, mean_and_worst) for name, row in MEANS.items()}
-TABLES |= {name: partial(measured, name) for name in ("peers", "workers", "programs")}
 
 
 def markdown(table):

@@ -11,39 +11,27 @@ import torch
 import ppo
 from evaluation import evaluate
 from experiments import benchmark, clocked, peers
-from model import Network
 from navbot_min import NavVecEnv
 
 ROOT = Path(__file__).parent.parent
 SMALL = peers.Settings(2, 6, 1, 2, 1e-3, 0.2, True)
 
 
-def test_the_operations_of_the_network_follow_from_its_weights(monkeypatch):
-    monkeypatch.setattr(benchmark, "rate", lambda call, count: count)
-    places = {(3, 6, 8): 12 * 16, (32, 3, 4): 6 * 8, (64, 2, 2): 2 * 2}  # paper Fig. 2
-    uses = sum(weight.numel() * places.get(tuple(weight.shape[1:]), 1)
-               for name, weight in Network().named_parameters() if "weight" in name)
-    _, flops = benchmark.measure_network(M=1, T=16)
-    assert flops["forward"] == 2 * uses  # one product and one sum per use
-    assert 2.5 * flops["forward"] < flops["both"] < 3 * flops["forward"]
-
-
 def test_the_timed_training_runs_train_py(monkeypatch):
     monkeypatch.chdir(ROOT)
     training = benchmark.train(*benchmark.SHORT[:-1], "4000", "--workers", "1")
     seconds = {part: sum(taken) for part, taken in training["seconds"].items()}
-    assert training["sps"] > 0 and 0.5 < training["share"] < 1
-    assert seconds["collecting"] > seconds["act"] + seconds["environment"]
-    assert seconds["update"] > seconds["gradient"] + seconds["optimiser"]
-    assert seconds["training"] > seconds["collecting"] + seconds["update"]
-    assert len(training["seconds"]["act"]) == 63  # calls with 64 robots, without the evaluation
+    assert training["sps"] > 0
+    assert seconds["collecting"] > seconds["acting"] + seconds["environment"]
+    assert seconds["training"] > seconds["collecting"] + seconds["gradient"] + seconds["optimizer"]
+    assert len(training["seconds"]["acting"]) == 63  # calls with 64 robots, without the evaluation
 
 
 def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, monkeypatch):
-    speeds = iter([100, 80, 50, 40, 10, 20, 30, 60, 1, 4, 1, 3])  # idle: 3 rounds of 4 runs
+    speeds = iter([100, 80, 40, 10, 20, 30, 1, 4, 3])  # idle: 3 rounds of 3 runs
     parts = {part: [2.0, 1.0, 4.0] for part, _, _ in clocked.CLOCKS}
-    monkeypatch.setattr(benchmark, "train", lambda *options, threads=1, launcher=(): {
-        "sps": next(speeds, 1), "share": 0.5, "seconds": parts, "memory_mb": 1})
+    monkeypatch.setattr(benchmark, "train", lambda *options, launcher=(): {
+        "sps": next(speeds, 1), "seconds": parts, "memory_mb": 1})
     monkeypatch.setattr(benchmark, "rate", lambda call, count: count)
     monkeypatch.setattr(benchmark, "available_cores", lambda: 2)
     network = benchmark.measure_network
@@ -53,10 +41,9 @@ def test_the_benchmark_writes_the_published_numbers_and_their_plot(tmp_path, mon
     assert (tmp_path / "here.png").stat().st_size > 5000
     assert figures["env_sps"] == {"1": 1, "32": 32, "256": 256, "1024": 1024}
     assert figures["workers"]["idle"] == {"1": 10, "2": 20, "ratio": 2}  # not 0.8, 2 or 4
-    assert figures["workers"]["torchrun"] == {"1": 10, "2": 40, "ratio": 3}
-    assert figures["pauses"]["busy"]["2 workers"]["update"] == [2.5, 4]
+    assert figures["workers"]["torchrun"] == {"1": 10, "2": 30, "ratio": 3}
     published = json.loads((ROOT / "results" / "benchmark.json").read_text())
-    assert set(pd.json_normalize(figures)) == set(pd.json_normalize(published | {"peers": {}}))
+    assert set(pd.json_normalize(figures)) == set(pd.json_normalize(published))
 
 
 def test_the_cleanrl_style_loop_has_our_values_and_advantages_in_each_episode():

@@ -1,7 +1,5 @@
 """Tests of the tables of the pages."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -76,12 +74,3 @@ def test_only_current_errors_of_the_lab_are_shown_lowest_success_first(results):
     assert tables.markdown(tables.lab_errors()).splitlines() == [
         "| appearance | lab | 20 | 20 |", "| camera yaw | 2 | 90 | 90 |",
         "| none | - | 100 | 100 |"]
-
-
-def test_a_percentage_of_the_roof_has_the_same_stage_and_cores(results):
-    one = {"network_fps": {"act": 1, "forward": 2, "both": 3}, "train_sps": 4,
-           "roof_fps": {"act": 10, "forward": 10, "both": 10}, "roof_sps": 10}
-    both = one | {"train_sps": 8, "roof_sps": 32}
-    (results / "benchmark.json").write_text(json.dumps(one | {"all_cores": both, "peers": {}}))
-    percentages = tables.benchmark().filter(like="%", axis=0).values.tolist()
-    assert percentages == [[10, 10], [20, 20], [30, 30], [40, 25]]

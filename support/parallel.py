@@ -16,7 +16,6 @@ from torch import distributed
 from support.runs import ProcessLost
 
 MAX_WAIT = timedelta(minutes=5)  # a process waits this long for the others
-MOST_WORKERS = 4  # default maximum: each process takes memory, and more were not tried
 EXITED = "exited unexpectedly, perhaps out of memory"
 
 
@@ -66,14 +65,15 @@ def _with_others(call, *arguments):
 
 
 def check_processes(config, parser):
-    """Exits if the workers or the device are not available. Sets `config.workers` if it is 0."""
+    """Exits if the workers or the device are not available. A new run that torchrun starts has as
+    many workers as torchrun has processes."""
     on_gpu = config.device == "cuda"
     started = torchrun("WORLD_SIZE")
     most = max(config.robots // 2, 1)  # two per process: one may be in a validation room
     if on_gpu and not torch.cuda.is_available():
         parser.error("--device is cuda, but torch finds no GPU; it must be cpu")
-    if config.workers == 0:
-        config.workers = started or (1 if on_gpu else min(available_cores(), MOST_WORKERS, most))
+    if started and not config.resume and "workers" not in parser.given:
+        config.workers = started
     given = f"--workers is {config.workers}"
     if started not in (0, config.workers):
         parser.error(f"{given}, but torchrun started {started} processes")
@@ -82,10 +82,7 @@ def check_processes(config, parser):
     if config.workers > most:
         parser.error(f"{given}; it must be at most {most}: each needs two robots")
     if config.workers > 1 and not started and not has_gloo():
-        if config.resume:
-            parser.error(f"the run has {config.workers} processes, but torch's gloo fails here")
-        print("torch's gloo is missing or fails: training with one process", file=sys.stderr)
-        config.workers = 1
+        parser.error(f"{given}, but torch's gloo is missing or fails here; it must be 1")
 
 
 def has_gloo():

@@ -216,7 +216,7 @@ def resumed(config, given):
 
 
 def check_config(config, parser):
-    """Exits if options contradict each other. Sets `config.workers` if it is 0."""
+    """Exits if options contradict each other. Sets those that follow from others."""
     if config.env == RANDOM and "targets" not in parser.given:
         config.targets = "anywhere"
     if config.env == RANDOM and config.targets != "anywhere":

@@ -88,22 +88,41 @@ def test_results_of_several_processes_are_those_of_a_loop():
         list(in_processes(power, [(1, 2), (-1, 2)], 2))
 
 
-def check(monkeypatch, cores=16, torchrun=0, gloo=True, **options):
+class Parser:
+    """A parser of a command line with these options, whose errors are exceptions."""
+
+    def __init__(self, given):
+        self.given = given
+
+    def error(self, message):
+        raise ValueError(message)
+
+
+def processes(monkeypatch, torchrun=0, gloo=True, **options):
     """Returns the number of processes of a training run on a machine with a GPU."""
-    monkeypatch.setattr(parallel, "available_cores", lambda: cores)
     monkeypatch.setattr(parallel, "has_gloo", lambda: gloo)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setenv("WORLD_SIZE", str(torchrun))
     config = train.Config(**options)
-    parallel.check_processes(config, None)
+    parallel.check_processes(config, Parser(options))
     return config.workers
 
 
 @pytest.mark.parametrize("expected, options", [
-    (2, dict(cores=2)), (4, dict()), (1, dict(robots=3)), (1, dict(device="cuda")),
-    (8, dict(torchrun=8)), (5, dict(workers=5)), (1, dict(gloo=False, workers=2))])
-def test_the_default_is_one_process_per_core_and_at_most_four(expected, options, monkeypatch):
-    assert check(monkeypatch, **options) == expected
+    (1, dict()), (5, dict(workers=5)), (8, dict(torchrun=8)), (8, dict(torchrun=8, workers=8)),
+    (8, dict(torchrun=8, device="cuda"))])
+def test_the_default_is_one_process_or_those_of_torchrun(expected, options, monkeypatch):
+    assert processes(monkeypatch, **options) == expected
+
+
+@pytest.mark.parametrize("words, options", [
+    ("--workers is 2, but torchrun started 8 processes", dict(torchrun=8, workers=2)),
+    ("--workers is 1, but torchrun started 8 processes", dict(torchrun=8, resume="run")),
+    ("it must be 1 unless torchrun starts them", dict(workers=2, device="cuda")),
+    ("gloo is missing or fails here; it must be 1", dict(workers=2, gloo=False))])
+def test_processes_that_cannot_start_get_one_sentence(words, options, monkeypatch):
+    with pytest.raises(ValueError, match=words):
+        processes(monkeypatch, **options)
 
 
 def test_torchrun_trains_on_two_machines(tmp_path):
