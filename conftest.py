@@ -1,5 +1,5 @@
 """Settings for all tests. They share one process, in which torch uses one thread: on a busy machine
-more threads waste time waiting for each other. It has other threads, so it must not be forked."""
+more threads waste time waiting for each other. The process has more, so it must not be forked."""
 
 import multiprocessing
 

@@ -21,7 +21,7 @@ from support.run_folder import begin_run, open_folder, report_errors, restore, s
 
 SUCCESS_RATE = 0.60  # r of Algorithm 1, paper IV-B
 WINDOW = 100  # episodes of a rolling success rate, paper IV-B
-LEAST_STD = 0.5  # lower limit of the actions' standard deviation / upper limit, our choice
+LEAST_STD = 0.5  # lower limit of the actions' std, as a fraction of the upper, our choice
 FINAL_STD = 0.1  # final upper limit, as a fraction of the initial value, our choice
 ANNEALING = 0.15  # last fraction of the steps, in which it falls to FINAL_STD, our choice
 STAGE = 50_000  # steps of 64 robots between two checkpoints; in proportion to R, our choice
@@ -173,7 +173,7 @@ class Training:
 
     def limit_std(self):
         """Limits the standard deviation of the actions. The limits fall at the end of the budget:
-        before, exploration helps to learn; after, noise does not disturb the frozen policy."""
+        until then exploration helps; then little noise disturbs the frozen policy."""
         left = max(1 - self.progress(), 0)
         highest = FINAL_STD + (1 - FINAL_STD) * min(left / ANNEALING, 1)
         self.model.limit_std(LEAST_STD * highest, highest)

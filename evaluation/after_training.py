@@ -43,7 +43,7 @@ def evaluate_policy(training, scenes, actions, protocol, episodes=None):
 
 
 def evaluate_many(training):
-    """Evaluates level 3 with mean actions, in the last training rooms and in new rooms."""
+    """Evaluates level 3, deterministic actions, in the last training rooms and in new rooms."""
     frozen = {"protocol": "anywhere", "actions": "mean", "hidden": "", "training": None,
               "new": None, "targets": []}
     for kind, scenes in training.rooms.by_kind(training.stage).items():
@@ -53,7 +53,7 @@ def evaluate_many(training):
 
 
 def evaluate_frozen(training):
-    """Evaluates levels 1 and 2 with sampled actions, and one mean-action episode per target."""
+    """Evaluates levels 1 and 2 with sampled actions, and one deterministic one per target."""
     frozen = evaluate_policy(training, training.scenes, "sampled", "start")
     by_mean = evaluate_policy(training, training.scenes, "mean", "start", episodes=1)
     for target, mean in zip(frozen["targets"], by_mean["targets"]):

@@ -113,8 +113,8 @@ class Roadmap:
 
 
 def passes(along, sides):
-    """Returns which lines in directions `along` (n, 2) have both sides (..., 2, 2) of a corner on
-    one side of them, (n,) bool. A small angle is allowed, because the corners are rounded."""
+    """Returns which lines in directions `along` (n, 2) have both faces (..., 2, 2) of a corner on
+    one side, (n,) bool. A small angle is allowed, because the corners are rounded."""
     across = along[:, None, 0] * sides[..., 1] - along[:, None, 1] * sides[..., 0]  # sines (n, 2)
     return (across.min(-1) > -TAUT) | (across.max(-1) < TAUT)
 

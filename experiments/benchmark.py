@@ -62,7 +62,7 @@ def world_calls(scene, R):
 
 
 def measure_network(M=16, T=50, R=32):
-    """Returns the images per second of the network's passes: forward, both, and to act."""
+    """Returns the images per second of the network's passes: forward, both, acting."""
     net = make_network(seed=0)
     seen = {"image": torch.randint(256, (M, T, H, W, 3), dtype=torch.uint8),
             "target": torch.rand(M, T, 2), "velocity": torch.rand(M, T, 2),

@@ -82,7 +82,7 @@ WHOLE = {"ours": RealVecEnv, "MuJoCo": MujocoVecEnv}
 MIXED = {"MuJoCo with our images": OurImages, "MuJoCo with a level camera": LevelCamera,
          "MuJoCo with the true pose": TruePose, "MuJoCo with prompt wheels": PromptWheels,
          "MuJoCo with late images": MujocoVecEnv, "ours with MuJoCo's images": MujocoImages}
-# No policy of level 3 has seen the look of the lab.
+# No policy of level 3 has seen the lab's appearance.
 LOOKS = {f"{name}{LOOK}": environment for name, environment in WHOLE.items()}
 SIMULATORS = WHOLE | MIXED | LOOKS
 ERRORS = {name: Reality(appearance="lab") for name in LOOKS} | {

@@ -1,5 +1,5 @@
 """Makes every published result: `python -m experiments.results` trains and evaluates each run of
-`experiments.runs`, then makes tables and figures. If interrupted, the same command resumes."""
+`experiments.runs`, then makes tables and figures. If interrupted, run the command again."""
 
 import itertools
 import os

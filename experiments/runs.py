@@ -25,7 +25,7 @@ ABLATIONS = {  # way -> options
     "no-target": {"without": "target"}, "no-last": {"without": "last"}}
 WEIGHTS = {name: f"pretrained/{name}.safetensors" for name in ("env2", "any-room")}  # for the lab
 STARTS = {f"from-{name}": {"init": file} for name, file in WEIGHTS.items()} | {"from-scratch": {}}
-# One room, never mirrored. Episodes are expensive, so each update makes many steps from a few.
+# One room, never mirrored. Episodes are expensive, so each update learns much from a few.
 IN_THE_LAB = {"env": "lab", "mirrored": 0.0, "robots": 8, "episodes_per_update": 8,
               "minibatches": 2, "epochs": 8}
 SUMMARIES = {  # stage -> prefix of columns -> evaluation (0: by the training), kind of targets

@@ -237,7 +237,7 @@ def workers():
 
 
 def programs():
-    """Returns the seconds of each part of a training, and of each program's start."""
+    """Returns the seconds of each part of training, and of each program's start."""
     figures = read("benchmark.json")["programs"]
     return [*figures["seconds"].items(),
             *((f"start of {name}", seconds) for name, seconds in figures["start"].items())]

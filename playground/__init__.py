@@ -1,1 +1,1 @@
-"""A page in the browser: watch a policy drive, move things, and drive yourself."""
+"""A page in the browser: watch a policy, move things, and drive yourself."""

@@ -27,7 +27,7 @@ ROBOT = np.array([0])  # the index of the only robot
 KEYS = {"ArrowUp": (1, 0), "ArrowLeft": (0, 1), "ArrowRight": (0, -1)}  # key -> action
 HOLD = 1.5  # [s] for which an episode's end is shown, at most
 SPEEDS = (0.25, 16)  # slowest and fastest, times real time
-STILL = 0.05  # [s] a step that is later than this is not caught up
+STILL = 0.05  # [s] a delay longer than this is not made up
 
 
 class Session(Feed):

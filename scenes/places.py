@@ -112,7 +112,7 @@ def fence(bounds):
 
 def freest_place(scene, places):
     """Returns the one of the places (P, 2) [m] that is farthest from all boxes. Searches blocks of
-    places in the order of the most that is possible there, until no block can have more."""
+    places, highest upper bound of clearance first, until no block can have more."""
     column, row = np.floor(places / BLOCK).astype(int).T
     blocks, block = np.unique(column * 10 ** 6 + row, return_inverse=True)
     order = np.argsort(block, kind="stable")  # places by block

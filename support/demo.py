@@ -7,7 +7,7 @@ from support.traces import TurnToTarget, drive
 
 
 def main(environment, argv=None):
-    """Drives six episodes and draws them in demo.png. environment: the class NavVecEnv."""
+    """Runs six episodes and draws them in demo.png. environment: the class NavVecEnv."""
     options, parser = parse({"env": option("env1", "room name or file")},
                             "Drive a robot by a rule: turn to the target and go.", argv)
     try:

@@ -11,7 +11,7 @@ EPISODES_PER_ROOM = 16  # about as many as in our training
 
 
 class RandomRoomsVecEnv(NavVecEnv):
-    """Level 3 for any learner: each robot drives EPISODES_PER_ROOM episodes in one random room and
+    """Level 3 for any learner: each robot runs EPISODES_PER_ROOM episodes in one random room and
     then in the next. Rooms follow from the environment's seed, and are never validation rooms.
     Targets and starts are drawn as in our training. When a step returns the `final_info` of the
     last episode in a room, `env.scenes` already has the next room."""
