@@ -217,18 +217,29 @@ def passage(trace):
                 if not width or (flood(clearance > width / 2, start) & goal).any())
 
 
-def draw_level3_curves(curves, earlier):
-    """Draws success of the watched robots against steps, with and without a limit of the noise."""
-    figure, axes = page(3.4)
-    for rows, colour, label in ((earlier, "paper", "without a lower limit of the noise"),
-                                (curves, "varied", "any-room")):
-        for seed, run in rows.groupby("seed"):
-            axes.plot(run.steps / 1e6, run.validation_success, color=PALETTE[colour], lw=1.6,
-                      label=None if seed else label)
-    axes.set(ylim=(0, 103), xlabel="million steps, summed over robots", ylabel="success rate [%]",
-             title="validation rooms, during training (sampled actions)")
-    axes.grid(alpha=0.3)
-    legend_below(figure, ncols=2)
+def draw_level3_curves(curves, unlimited, runs, earlier):
+    """Draws success in the validation rooms against steps: during training, with a noise limit and
+    without, and of frozen policies, with today's learner and an earlier one."""
+    figure, (left, right) = page(3.8, 1, 2, sharey=True)
+    for rows, colour, label in ((unlimited, "paper", "without a limit on action noise"),
+                                (curves, "varied", "today's learner")):
+        for _, run in rows.groupby("seed"):
+            left.plot(run.steps / 1e6, run.validation_success, color=PALETTE[colour], lw=1.6,
+                      label=label)
+    for rows, colour, mark, label in ((earlier, "one-start", "s", "an earlier learner"),
+                                      (runs, "varied", "o", "today's learner")):
+        rows = rows[rows.way.isin(["any-room", "rooms-0"])]
+        means = rows.groupby("steps").validation_success.mean()
+        right.semilogx(rows.steps, rows.validation_success, mark, color=PALETTE[colour], mfc="none")
+        right.plot(means, mark + "-", color=PALETTE[colour], label=label)
+    left.set(title="during training, sampled actions", ylim=(0, 103), ylabel="success rate in\n"
+             "validation rooms [%]", xlabel="million steps, summed over robots")
+    right.set(title="frozen policies, deterministic actions", xlabel="million steps (log scale)")
+    right.set_xticks([5e5, 1e6, 2e6, 4e6, 8e6, 2e7], ["0.5", "1", "2", "4", "8", "20"])
+    right.minorticks_off()
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    legend_below(figure, ncols=3)
     return figure
 
 
@@ -432,8 +443,8 @@ FIGURES = {  # file in pictures/ -> a function that returns its Figure, or the T
         read("deltas.csv"), {"passes": "with clipping", "clipping": "without clipping"}),
     "rooms.png": draw_rooms,
     "rooms-learnt.png": lambda: draw_rooms_learnt(read("level3.csv"), read("rooms.csv")),
-    "level3-curves.png":
-        lambda: draw_level3_curves(read("level3-curves.csv"), read("without-limit.csv")),
+    "level3-curves.png": lambda: draw_level3_curves(
+        *map(read, ("level3-curves.csv", "without-limit.csv", "level3.csv", "earlier-level3.csv"))),
     "any-room.png": draw_any_room,
     "touches.png": draw_touches,
     "any-room.gif": lambda: film_episode(  # an arrival; one episode in nine fails
