@@ -258,9 +258,10 @@ def success(level, learner):
         rates = {}
         tests = {"validation": (validation_scenes(), 1000, "sampled")}
         tests |= {room: ([room], 100, "sampled") for room in TEST_ROOMS}
-    return rates | {f"{name}_success": evaluate(driver(learner, actions), rooms, episodes,
-                                                "anywhere")[0]["anywhere"]["success"]
-                    for name, (rooms, episodes, actions) in tests.items()}
+    for name, (rooms, episodes, actions) in tests.items():
+        result, _ = evaluate(driver(learner, actions), rooms, episodes, "anywhere")
+        rates[f"{name}_success"] = result["anywhere"]["success"]
+    return rates
 
 
 def main(argv=None):
