@@ -25,7 +25,7 @@ test: .venv/tests-installed
 evaluate: .venv/installed
 	$(BIN)/python -m evaluation $(RUN)
 
-# Trains and evaluates everything that the tables report: hours.
+# Trains and evaluates what is missing in results/, then makes tables and figures.
 results: .venv/experiments-installed .venv/robot-installed
 	$(BIN)/python -m experiments.results
 
