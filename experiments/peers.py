@@ -248,8 +248,8 @@ def driver(learner, actions):
 
 
 def success(level, learner):
-    """Returns the success rates of a learner's frozen policy, as columns. Actions are sampled: these
-    learners keep much noise, and then the mean action may be to stand still."""
+    """Returns the success rates of a learner's frozen policy, as columns. Actions are sampled:
+    these learners keep much noise, and then the mean action may be to stand still."""
     if level == 2:
         result, _ = evaluate(driver(learner, "sampled"), ["env1"], 1000, "start")
         rates = {f"{kind}_success": result[kind]["success"] for kind in ("training", "new")}
