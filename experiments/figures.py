@@ -363,12 +363,11 @@ def draw_delta(deltas, names):
 
 def draw_lab(lab):
     """Draws the frozen policies in the lab: a row per kind of training, with a dot per seed."""
-    lab = lab.assign(collision=(lab.training_collision + lab.new_collision) / 2,
-                     stops=(lab.training_stops + lab.new_stops) / 2)
+    lab = lab.assign(new_standing=100 * lab.new_standing)
     rows = dict(list(lab.groupby(["allowed", "way"])))
     figure, panels = page(5.8, 1, 3, sharey=True, width_ratios=(2, 1, 1))
     titles = {"new_success": "success rate\non new targets [%]",
-              "collision": "collisions\nper 100 episodes", "stops": "ring stops\nper episode"}
+              "new_standing": "stands still [%]", "new_stops": "ring stops\nper episode"}
     for axes, (column, title) in zip(panels, titles.items()):
         for y, ((allowed, _), runs) in enumerate(rows.items()):
             colour = PALETTE[{0: "robot", 300: "training", 3000: "run"}[allowed]]
