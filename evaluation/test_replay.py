@@ -16,6 +16,7 @@ from evaluation import Assignment, rollouts
 from evaluation.__main__ import main
 from evaluation.replay import COLUMNS, RecordingPolicy, as_episode, make_page
 from model import REWARD_SCALE
+from navbot_min import MAX_COMMAND
 from render import H, W
 from sim import ARRIVAL_DISTANCE
 from support.palette import PALETTE
@@ -71,24 +72,30 @@ def test_a_page_has_a_success_a_failure_and_a_hidden_cube_equal_to_their_traces(
             assert np.allclose(fractions * np.abs(values).max(), values, atol=0.01 * values.max())
 
 
-def test_activations_equal_those_of_one_pass_over_the_whole_episode():
+def test_activations_and_commands_equal_those_of_one_pass_over_each_whole_episode():
     class Remembering(RecordingPolicy):
         def act(self, env, observations):
             actions = super().act(env, observations)
             self.activations |= observations
             return actions
     model, _ = load_model(WEIGHTS)
-    [trace] = rollouts(Remembering(model, "mean", 0), [Assignment(ENV1, 2, quota=1)], "perturbed")
-    activations = {key: torch.as_tensor(value)[None] for key, value in trace.activations.items()}
+    robots = [Assignment(ENV1, target, quota=2) for target in range(3)]
+    traces = rollouts(Remembering(model, "mean", 0), robots, "perturbed")
     outputs = []
     for memory in model.memories:
         memory.register_forward_hook(lambda module, seen, result: outputs.append(result[0]))
-    with torch.no_grad():
-        _, values, _ = model(activations, model.initial_state(1))
-        features = model.see(activations["image"][0])
-    assert torch.allclose(activations["value"] * REWARD_SCALE, values, atol=1e-4)
-    assert torch.allclose(activations["features"][0], features, atol=1e-4)
-    assert torch.allclose(activations["memory"], torch.stack(outputs, 2), atol=1e-4)
+    assert len(traces) == 6
+    for trace in traces:
+        seen = {key: torch.as_tensor(value)[None] for key, value in trace.activations.items()}
+        outputs.clear()
+        with torch.no_grad():
+            distribution, values, _ = model(seen, model.initial_state(1))
+            features = model.see(seen["image"][0])
+        assert torch.allclose(seen["value"] * REWARD_SCALE, values, atol=1e-4)
+        assert torch.allclose(seen["features"][0], features, atol=1e-4)
+        assert torch.allclose(seen["memory"], torch.stack(outputs, 2), atol=1e-4)
+        actions = distribution.mean[0].numpy().clip((0, -1), (1, 1))
+        assert np.allclose(actions * MAX_COMMAND, trace.commands, atol=1e-3)
 
 
 def test_a_page_loads_nothing_and_has_all_data_that_its_script_uses(made):

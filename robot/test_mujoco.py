@@ -131,12 +131,6 @@ def test_robots_in_different_rooms_and_later_episodes_do_not_affect_each_other()
     assert (one == other).all()
 
 
-def test_a_servo_has_no_more_torque_than_its_limit():
-    world = MujocoWorld([FLOOR])
-    world.drive([(99.0, 0.0)])
-    assert np.abs(world.data[0].actuator_force).max() == 1.0
-
-
 def test_a_robot_whose_nose_dips_sees_the_floor_higher():
     env = MujocoVecEnv(1, [ROOMS[1]], "training")
     view = np.zeros(1, int), env.world.poses, np.array([(9.0, 9.0)])

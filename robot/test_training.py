@@ -15,6 +15,7 @@ from robot.environment import RandomRingVecEnv, RandomVecEnv, RealVecEnv, RingVe
 from robot.train import Config, Training, main
 from support.rooms import load_rooms
 from support.runs import read_table
+from support.test_cli import refusal
 from support.weights import load_model
 from train import train
 
@@ -86,8 +87,5 @@ def test_a_run_resumes_with_its_options_and_is_evaluated_with_the_ring(tmp_path)
     (["--env", "nowhere"], "unknown scene 'nowhere'"), (["--episodes", "-1"], "--episodes")])
 def test_invalid_options_give_an_error_of_one_line(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    printed = capsys.readouterr().err
-    assert stop.value.code == 2 and printed.count("\n") == 1 and words in printed
+    assert words in refusal(main, arguments, capsys)
     assert not (tmp_path / "runs").exists()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import wrappers
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as vector_wrappers
 
 import scenes
@@ -54,15 +53,6 @@ def test_info_always_has_the_same_keys_and_types_and_distinguishes_arrival_from_
         kinds = [{key: type(value) for key, value in info.items()} for info in infos]
         assert kinds == [kinds[0]] * len(infos)
         assert [info["length"] for info in infos] == list(range(len(infos)))
-
-
-def test_all_rooms_have_the_same_observation_space_so_they_can_be_vectorised_together():
-    largest = scenes.parse(square_room(14.0), "the largest room")
-    single = [NavEnv([room]) for room in ("env1", "maze3", "random:3", largest)]
-    many = SyncVectorEnv([lambda env=env: env for env in single],  # compares their spaces
-                         autoreset_mode=AutoresetMode.SAME_STEP)
-    observations, _ = many.reset(seed=0)
-    assert many.observation_space.contains(observations)
 
 
 def test_a_generator_set_by_the_user_draws_the_episodes():

@@ -14,26 +14,15 @@ import torch
 
 import train
 from model import make_network
-from ppo import Episode, update
+from ppo import update
 from support import parallel
 from support.parallel import ProcessLost, gather, in_processes, run_together, total
+from test_all import random_episodes
 
 ROOT = Path(__file__).parent.parent
 LENGTHS = (3, 9, 5, 1, 7, 12, 4, 2)
 SECOND = 3  # number of these episodes that belong to the second process
 CONFIG = SimpleNamespace(epochs=1, minibatches=1, gamma=0.99, lam=0.95, clip=0.2)
-
-
-def make_episodes():
-    """Returns episodes of these lengths, the same ones at each call."""
-    rng = np.random.default_rng(0)
-    return [Episode({"image": rng.integers(0, 256, (T, 48, 64, 3), np.uint8),
-                     "target": rng.normal(size=(T, 2)).astype(np.float32),
-                     "velocity": rng.normal(size=(T, 2)).astype(np.float32),
-                     "last_reward": rng.normal(size=(T, 1)).astype(np.float32)},
-                    *rng.normal(size=(1, T, 2)).astype(np.float32),
-                    *rng.normal(size=(3, T)).astype(np.float32), last_value=0.5)
-            for T in LENGTHS]
 
 
 def gradient_of(episodes):
@@ -48,14 +37,14 @@ def gradient_of(episodes):
 
 def learn_together(config):
     """Returns the results of `gradient_of` in all processes, each with its own episodes."""
-    episodes = make_episodes()
+    episodes = random_episodes(LENGTHS)
     own = episodes[SECOND:] if parallel.rank() == 0 else episodes[:SECOND]
     return gather(gradient_of(own))
 
 
 def test_processes_compute_the_same_update_as_one_process_with_all_episodes():
     (first, statistics), (second, _) = run_together(learn_together, train.Config(workers=2))
-    alone, expected = gradient_of(make_episodes())
+    alone, expected = gradient_of(random_episodes(LENGTHS))
     assert (first == second).all()  # to the last bit
     assert np.abs(first - alone).max() < 1e-4 * np.abs(alone).max()
     assert statistics == pytest.approx(expected, rel=1e-4, abs=1e-6)
@@ -88,23 +77,13 @@ def test_results_of_several_processes_are_those_of_a_loop():
         list(in_processes(power, [(1, 2), (-1, 2)], 2))
 
 
-class Parser:
-    """A parser of a command line with these options, whose errors are exceptions."""
-
-    def __init__(self, given):
-        self.given = given
-
-    def error(self, message):
-        raise ValueError(message)
-
-
 def processes(monkeypatch, torchrun=0, gloo=True, **options):
     """Returns the number of processes of a training run on a machine with a GPU."""
     monkeypatch.setattr(parallel, "has_gloo", lambda: gloo)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setenv("WORLD_SIZE", str(torchrun))
     config = train.Config(**options)
-    parallel.check_processes(config, Parser(options))
+    parallel.check_processes(config, SimpleNamespace(given=options, error=pytest.fail))
     return config.workers
 
 
@@ -121,7 +100,7 @@ def test_the_default_is_one_process_or_those_of_torchrun(expected, options, monk
     ("it must be 1 unless torchrun starts them", dict(workers=2, device="cuda")),
     ("gloo is missing or fails here; it must be 1", dict(workers=2, gloo=False))])
 def test_processes_that_cannot_start_get_one_sentence(words, options, monkeypatch):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(pytest.fail.Exception, match=words):
         processes(monkeypatch, **options)
 
 

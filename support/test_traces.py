@@ -1,12 +1,9 @@
-"""Tests of the loop that drives episodes and of what it records; tests of range sensors."""
+"""Tests of the loop that drives episodes and of what it records."""
 
 import numpy as np
 import pytest
 
-import scenes
-import sim
 from navbot_min import OUTCOMES, NavVecEnv
-from scenes.generate import range_readings
 from support.traces import TurnToTarget, drive
 
 QUOTA = [2, 0, 1, 3, 2, 1]
@@ -66,19 +63,3 @@ def test_traces_are_the_first_whole_episodes_of_each_robot_in_the_order_of_their
         assert trace.activations["distance"] == pytest.approx(away, abs=1e-5)
     resets = [np.flatnonzero(done).tolist() for done in ended if done.any()]
     assert driver.begun == [list(range(6)), *resets[:len(driver.begun) - 1]]
-
-
-def test_range_readings_equal_those_of_pymunk_ray_by_ray():
-    rooms = [scenes.load(name) for name in ("env1", "maze3", "lab", "random:5")]
-    world = sim.World([rooms[k % 4] for k in range(12)])
-    rng = np.random.default_rng(0)
-    places = np.array([scene.any_place(rng) for scene in world.scenes])
-    world.place(slice(None), np.column_stack([places, rng.uniform(-3, 3, 12)]))
-    angles = np.linspace(0, 2 * np.pi, 17)
-    readings = range_readings(world, angles, 2.0)
-    for walls, (x, y, theta), row in zip(world._spaces, world.poses, readings):
-        for angle, reading in zip(angles, row):
-            end = (x + 2.0 * np.cos(theta + angle), y + 2.0 * np.sin(theta + angle))
-            hit = walls.segment_query_first((x, y), end, 0, sim.EVERYTHING)
-            assert reading == pytest.approx(2.0 * hit.alpha if hit else 2.0)
-    assert (readings < 2).mean() > 0.5 and (readings == 2).any()
