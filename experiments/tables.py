@@ -141,6 +141,15 @@ def level3_rooms():
     return rows.pivot(index=["room", "targets"], columns="seed", values="rate")
 
 
+def peers():
+    """Returns level 2 in env1 by our learner and those of other projects, seeds 0 to 2."""
+    ours = read("seeds.csv").query("env == 'env1' and way == 'varied' and seed < 3")
+    ours = ours.rename(columns={"anywhere_success": "anywhere_mean_success"})
+    rows = pd.concat([ours.assign(learner="ours"), read("peers.csv").query("level == 2")])
+    columns = "training_success new_success anywhere_mean_success seconds"
+    return grouped(rows, "learner", columns)
+
+
 def rooms_learnt():
     """Returns success at level 3 by the number of training rooms."""
     rows = pd.concat([read("level3.csv"), read("rooms.csv").query(RANDOM_TARGETS)])
@@ -244,7 +253,7 @@ def programs():
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
-    carry_over, level3_rooms, rooms_learnt, level3_planners, lab, lab_errors, mujoco, mujoco_mixed,
+    carry_over, level3_rooms, peers, rooms_learnt, level3_planners, lab, lab_errors, mujoco, mujoco_mixed,
     peaks, stops, stop_ranges, budgets, speeds, workers, programs)}
 TABLES["headline"] = lambda: summary().drop(
     columns="training_success").drop("any-target", level="way")
