@@ -253,8 +253,8 @@ def programs():
 
 
 TABLES = {function.__name__.replace("_", "-"): function for function in (summary, hidden,
-    carry_over, level3_rooms, peers, rooms_learnt, level3_planners, lab, lab_errors, mujoco, mujoco_mixed,
-    peaks, stops, stop_ranges, budgets, speeds, workers, programs)}
+    carry_over, level3_rooms, peers, rooms_learnt, level3_planners, lab, lab_errors, mujoco,
+    mujoco_mixed, peaks, stops, stop_ranges, budgets, speeds, workers, programs)}
 TABLES["headline"] = lambda: summary().drop(
     columns="training_success").drop("any-target", level="way")
 TABLES |= {name: partial(group_rows, *row) for name, row in GROUPS.items()}
