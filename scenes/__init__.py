@@ -62,11 +62,11 @@ def read(text, path, folder=None, start=""):
     looked up; None if there are none. start: `x,y,degrees`, or "". Raises SceneError."""
     suffix = path.suffix.lower()
     try:
-        if suffix in WORLDS:
-            from scenes.world_file import boxes_of
-            return with_targets(path.stem, *boxes_of(text, folder, start_of(start)), bool(start))
-        if suffix in MAPS:
-            from scenes.map_file import boxes_of
+        if suffix in (*WORLDS, *MAPS):
+            if suffix in WORLDS:
+                from scenes.world_file import boxes_of
+            else:
+                from scenes.map_file import boxes_of
             return with_targets(path.stem, *boxes_of(text, folder, start_of(start)), bool(start))
         check(suffix == ".toml", f"its name must end in .toml, {', '.join(WORLDS)} (Gazebo) or "
               f"{', '.join(MAPS)} (a ROS map)")
