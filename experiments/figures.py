@@ -221,11 +221,10 @@ def draw_level3_curves(curves, unlimited, runs, earlier):
     """Draws success in the validation rooms against steps: during training, with a noise limit and
     without, and of frozen policies, with today's learner and an earlier one."""
     figure, (left, right) = page(3.8, 1, 2, sharey=True)
-    for rows, colour, label in ((unlimited, "paper", "without a limit on action noise"),
-                                (curves, "varied", "today's learner")):
-        for _, run in rows.groupby("seed"):
-            left.plot(run.steps / 1e6, run.validation_success, color=PALETTE[colour], lw=1.6,
-                      label=label)
+    for _, run in curves.groupby("seed"):
+        left.plot(run.steps / 1e6, run.validation_success, color=PALETTE["varied"], lw=1.6)
+    left.plot(unlimited.steps / 1e6, unlimited.validation_success, "--", color=PALETTE["arrival"],
+              lw=2.2, label="without a limit on action noise, one seed")
     for rows, colour, mark, label in ((earlier, "one-start", "s", "an earlier learner"),
                                       (runs, "varied", "o", "today's learner")):
         rows = rows[rows.way.isin(["any-room", "rooms-0"])]
@@ -239,7 +238,7 @@ def draw_level3_curves(curves, unlimited, runs, earlier):
     right.minorticks_off()
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    legend_below(figure, ncols=3)
+    legend_below(figure, ncols=3, title="filled markers: means of three seeds")
     return figure
 
 

@@ -87,6 +87,8 @@ def text(value):
 
 def each(values):
     """Returns a cell with the values of the seeds in order, and their mean in bold."""
+    if values.isna().all():
+        return "-"
     mean = f": **{text(values.mean())}**" if len(values) > 1 else ""
     return ", ".join(map(text, values)) + mean
 
@@ -146,7 +148,7 @@ def peers():
     ours = read("seeds.csv").query("env == 'env1' and way == 'varied' and seed < 3")
     ours = ours.rename(columns={"anywhere_success": "anywhere_mean_success"})
     rows = pd.concat([ours.assign(learner="ours"), read("peers.csv").query("level == 2")])
-    columns = "training_success new_success anywhere_mean_success seconds"
+    columns = "training_success new_success anywhere_success anywhere_mean_success seconds"
     return grouped(rows, "learner", columns)
 
 
@@ -179,7 +181,8 @@ def lab_errors():
     """Returns success with each single error of the lab, lowest first, and the error's value."""
     room = tomllib.loads((ROOT / "scenes" / "lab.toml").read_text(encoding="utf-8"))
     values = {key.removesuffix("_degrees"): value for key, value in room["reality"].items()}
-    rows = read("lab-errors.csv").query("error in ['none', 'all'] or error in @values")
+    values["all"] = "each of these"
+    rows = read("lab-errors.csv").query("error == 'none' or error in @values")
     success = rows.pivot(index="error", columns="weights", values="success")[["env2", "any-room"]]
     success = success.loc[success.mean(axis=1).sort_values(kind="stable").index]
     success.insert(0, "value", [values.get(error) for error in success.index])
