@@ -264,6 +264,7 @@ class NavEnv(gym.Env):
         self.render_mode = render_mode
         self._last = None  # observation and info of the last step; None before the first reset
         self._is_over = True
+        self._room = None  # Scene of the episode under way
         self._screen = None  # the pictures of `render`
 
     def reset(self, *, seed=None, options=None):
@@ -272,6 +273,7 @@ class NavEnv(gym.Env):
         self.vector.np_random = self.np_random  # a user may have set another generator
         observations, infos = self.vector.reset(options=options)
         self._is_over = False
+        self._room = self.vector.world.scenes[0]
         return self._look(observations, infos, self.vector.episode_info(np.array([UNDER_WAY])))
 
     def step(self, action):
@@ -305,8 +307,8 @@ class NavEnv(gym.Env):
             raise ResetNeeded("render() was called before reset()")
         if self._screen is None:
             from support.film import Screen  # loads matplotlib, which the task does not need
-            self._screen = Screen(self.vector.world.scenes[0], self.render_mode, RENDER_FPS)
-        return self._screen.draw(*self._last)
+            self._screen = Screen(self.render_mode, RENDER_FPS)
+        return self._screen.draw(self._room, *self._last)
 
     def close(self):
         """Closes the window, if there is one."""

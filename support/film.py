@@ -102,17 +102,16 @@ class Window:
 
 class Screen:
     """Pictures for `NavEnv.render`: the map next to the camera image."""
-    def __init__(self, scene, mode, fps):
+    def __init__(self, mode, fps):
         """mode: "rgb_array" or "human", a window. Raises RuntimeError."""
-        self.scene = scene
         self.fps = fps
         self.window = Window() if mode == "human" else None
         self.view = None  # EpisodeView of the current episode
 
-    def draw(self, observation, info):
+    def draw(self, scene, observation, info):
         """Returns the picture (h, w, 3) uint8 of a step of `NavEnv`; None if a window shows it."""
         if self.view is None or info["length"] == 0:
-            self.view = EpisodeView(self.scene, (info["goal_x"], info["goal_y"]))
+            self.view = EpisodeView(scene, (info["goal_x"], info["goal_y"]))
         picture = self.view.frame(info["pose"], observation["image"], info["command"],
                                   info["length"])
         return self.window.show(picture, self.fps) if self.window else picture

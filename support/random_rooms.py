@@ -21,25 +21,29 @@ class RandomRoomsVecEnv(NavVecEnv):
         check(num_envs >= 1, f"num_envs is {num_envs}; it must be at least 1")
         rooms = [training_room(FIRST_ROOM)] * num_envs  # until the first reset
         super().__init__(num_envs, rooms, "anywhere", max_episode_steps=max_episode_steps)
-        self._episodes = np.zeros(num_envs, dtype=int)  # that each robot has begun in its room
+        self._episodes = np.zeros(num_envs, dtype=int)  # that each robot has driven in its room
+        self.leave_rooms()
 
     def reset(self, *, seed=None, options=None):
         """Starts an episode for every robot; with a seed, in new rooms. Raises ValueError."""
         check(not options, f"options is {options!r}; in random rooms there are none")
+        if self._steps is not None:
+            self._episodes += self._steps > 0  # the episodes that this reset cuts short
         if seed is not None:
             self.leave_rooms()
         return super().reset(seed=seed)
 
     def leave_rooms(self):
         """Makes each robot change to a new room before its next episode."""
-        self._episodes[:] = 0
+        self._episodes[:] = EPISODES_PER_ROOM
 
     def sample_episode(self, r):
         """Draws robot r's next episode, and from time to time its next room."""
-        if self._episodes[r] % EPISODES_PER_ROOM == 0:
+        self._episodes[r] += self._steps[r] > 0  # not an episode that a reset replaces at once
+        if self._episodes[r] >= EPISODES_PER_ROOM:
             number = int(self.np_random.integers(FIRST_ROOM, MOST_SEED))
             change_room(self, r, training_room(number))
-        self._episodes[r] += 1
+            self._episodes[r] = 0
         return super().sample_episode(r)
 
 

@@ -29,6 +29,9 @@ def write(path, content):
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
+    except OSError as error:
+        error.filename = str(path)  # not that of the partial file, for the message
+        raise
     finally:
         partial.unlink(missing_ok=True)
 

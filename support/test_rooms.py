@@ -17,6 +17,7 @@ from scenes import generate
 from scenes.test_scenes import square_room
 from sim import Scene, SceneError
 from support import parallel, rooms
+from support.film import EpisodeView
 from support.run_folder import restore, state_of
 
 ENV1 = scenes.load("env1")
@@ -194,6 +195,24 @@ def test_one_robot_gets_a_random_room_that_follows_from_the_seed():
     assert env.vector.scenes[0].name == seen[0][0]  # the same room for some episodes
     other.reset(seed=0)
     assert other.vector.scenes[0].name == seen[0][0]
+
+
+def test_one_robot_changes_its_room_however_episodes_end_and_its_map_shows_the_room(monkeypatch):
+    monkeypatch.setattr(support.random_rooms, "EPISODES_PER_ROOM", 2)
+    env = gym.make("navbot_min:NavBot-random-v1", render_mode="rgb_array", max_episode_steps=60)
+    visited = []
+    for action in [(1, 0), (0, 0)] * 3:  # into a wall; until the wrapper's limit
+        seen, info = env.reset(seed=None if visited else 0)
+        room = env.unwrapped.vector.scenes[0]
+        visited.append(room.name)
+        view = EpisodeView(room, (info["goal_x"], info["goal_y"]))
+        assert (env.render() == view.frame(info["pose"], seen["image"], (0, 0), 0)).all()
+        over = False
+        while not over:
+            _, _, terminated, over, _ = env.step(np.array(action))
+            over |= terminated
+        assert terminated == (action == (1, 0))
+    assert visited[::2] == visited[1::2] and len(set(visited)) == 3
 
 
 @pytest.mark.filterwarnings("ignore:.*out of date")
