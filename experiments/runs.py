@@ -19,6 +19,7 @@ WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # l
 PART = 500_000  # steps per point of level3-curves.csv
 STOP_WORKERS = (1, 2, 4)  # numbers of processes of the runs that stop by the paper's rule
 BUDGETS = (100_000, 150_000)  # steps in env1
+FRESH = range(200, 205)  # seeds that no choice has used
 HIDDEN = ("place", "cube", "both")  # parts of the observation
 ABLATIONS = {  # way -> options
     "single": {"memory": "single"}, "none": {"memory": "none"}, "blind": {"without": "image"},
@@ -233,7 +234,7 @@ ANY_TARGET = [  # level 3's task in one room
         {"start": {"protocol": "start", "episodes": 1000},
          "anywhere": {"protocol": "anywhere", "episodes": 500}}) for seed in range(5)]
 BUDGET = [Run("budget", {"budget": steps, "seed": seed}, {"env": "env1", "steps": steps}, {})
-          for steps in BUDGETS for seed in range(5)]
+          for steps in BUDGETS for seed in (*range(5), *FRESH)]
 STOPS = [  # the paper's rule stops these runs
     Run("stop", {"env": env, "processes": workers, "seed": seed},
         {"env": env, "workers": workers, "fixed_budget": False}, {})
