@@ -258,6 +258,7 @@ def success(level, learner):
         rates = {}
         tests = {"validation": (validation_scenes(), 1000, "sampled")}
         tests |= {room: ([room], 100, "sampled") for room in TEST_ROOMS}
+        tests["validation_mean"] = (validation_scenes(), 1000, "mean")
     for name, (rooms, episodes, actions) in tests.items():
         result, _ = evaluate(driver(learner, actions), rooms, episodes, "anywhere")
         rates[f"{name}_success"] = result["anywhere"]["success"]
