@@ -18,7 +18,7 @@ TEST_ROOMS = (*PAPER_ROOMS, "maze0", "maze3", "maze4")  # never used for trainin
 WAYS = {"one-start": {"random_starts": 0.0, "mirrored": 0.0}, "varied": {}}  # level 2
 PART = 500_000  # steps per point of level3-curves.csv
 STOP_WORKERS = (1, 2, 4)  # numbers of processes of the runs that stop by the paper's rule
-BUDGETS = (100_000, 150_000)  # steps in env1
+BUDGETS = (100_000, 150_000, 250_000)  # steps in env1
 FRESH = range(200, 205)  # seeds that no choice has used
 HIDDEN = ("place", "cube", "both")  # parts of the observation
 ABLATIONS = {  # way -> options
@@ -123,7 +123,7 @@ def lab_runs():
 
 
 def drawn_runs():
-    """Returns the run of any-room's policy that goes on with errors and looks drawn at random."""
+    """Returns the run that trains any-room's policy further, with random errors and appearances."""
     options = {"env": RANDOM, "targets": "anywhere", "reality": "random", "steps": 1_000_000,
                "init": WEIGHTS["any-room"]}
     return [Run("drawn", {"way": "drawn-errors", "seed": 0}, options, {})]

@@ -89,7 +89,7 @@ def test_the_programs_accept_every_command_and_write_the_files_of_the_rows(folde
                 assert (ROOT / prepared.folder).resolve() == run.folder
                 assert prepared.suffix == f"-{name}"
     folders = {run.folder.name for run in EVERY}
-    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 20 + 36 + 12 + 36 + 26 + 1 + 20
+    assert len(folders) == len(EVERY) == 10 + 20 + 5 + 30 + 36 + 12 + 36 + 26 + 1 + 20
     assert PUBLISHED < folders
 
 

@@ -70,7 +70,7 @@ def read(text, path, folder=None, start=""):
             return with_targets(path.stem, *boxes_of(text, folder, start_of(start)), bool(start))
         check(suffix == ".toml", f"its name must end in .toml, {', '.join(WORLDS)} (Gazebo) or "
               f"{', '.join(MAPS)} (a ROS map)")
-        check(not start, "it has a start of its own, so '@' cannot choose one")
+        check(not start, "it has its own start, so '@' cannot choose one")
         try:
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:

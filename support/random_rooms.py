@@ -21,8 +21,8 @@ class RandomRoomsVecEnv(NavVecEnv):
         check(num_envs >= 1, f"num_envs is {num_envs}; it must be at least 1")
         rooms = [training_room(FIRST_ROOM)] * num_envs  # until the first reset
         super().__init__(num_envs, rooms, "anywhere", max_episode_steps=max_episode_steps)
-        self._episodes = np.zeros(num_envs, dtype=int)  # that each robot has driven in its room
-        self.leave_rooms()
+        # Episodes that each robot has driven in its room. The first reset changes all rooms.
+        self._episodes = np.full(num_envs, EPISODES_PER_ROOM)
 
     def reset(self, *, seed=None, options=None):
         """Starts an episode for every robot; with a seed, in new rooms. Raises ValueError."""

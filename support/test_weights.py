@@ -29,6 +29,8 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path / "a.txt", fail)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"a.txt": b"old\n"}
+    with pytest.raises(OSError, match="directory: 'none/a.txt'$"):
+        write("none/a.txt", "new\n")
 
 
 def test_a_table_is_read_without_its_comments(tmp_path):
